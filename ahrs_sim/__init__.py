@@ -1,0 +1,1 @@
+"""Test bench for aircraft attitude and heading reference systems."""

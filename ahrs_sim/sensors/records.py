@@ -1,0 +1,81 @@
+"""What instruments send: one block type per message, each row with its own stamp.
+
+`stamp_ns` is when the instrument says the value was measured, `arrival_ns` when the message is there; both count from
+the scenario's epoch. Values are what the log stores, bit for bit, so that a replay sees the same numbers.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimators.types import Columns, column
+
+
+@dataclass(frozen=True, slots=True)
+class Record(Columns):
+    """Common to all."""
+
+    stamp_ns: np.ndarray = column(dtype=np.int64)  # (n,) ns
+    arrival_ns: np.ndarray = column(dtype=np.int64)  # (n,) ns
+
+
+@dataclass(frozen=True, slots=True)
+class ImuRecord(Record):
+    gyro_b: np.ndarray = column(3)  # (n, 3) rad/s
+    accel_b: np.ndarray = column(3)  # (n, 3) m/s2, specific force
+    saturated: np.ndarray = column(dtype=bool)  # any axis at its range
+    temperature: np.ndarray = column()  # K, of the chip
+
+
+@dataclass(frozen=True, slots=True)
+class MagRecord(Record):
+    mag_b: np.ndarray = column(3)  # (n, 3) T
+    saturated: np.ndarray = column(dtype=bool)
+
+
+@dataclass(frozen=True, slots=True)
+class FixRecord(Record):
+    lla_deg: np.ndarray = column(3)  # (n, 3) deg, deg, m ellipsoidal (degrees: what NavSatFix stores)
+    sigma: np.ndarray = column(3)  # (n, 3) m, NED, as the receiver reports it
+    fix: np.ndarray = column(dtype=np.int8)  # NavSatStatus: -1 none, 0 fix, 2 RTK
+    satellites: np.ndarray = column(dtype=np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class VelocityRecord(Record):
+    vel_n: np.ndarray = column(3)  # (n, 3) m/s
+
+
+@dataclass(frozen=True, slots=True)
+class HeadingRecord(Record):
+    heading: np.ndarray = column()  # rad, true heading of the baseline
+    sigma: np.ndarray = column()  # rad, as reported
+    satellites: np.ndarray = column(dtype=np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class PressureRecord(Record):
+    pressure: np.ndarray = column()  # Pa
+
+
+@dataclass(frozen=True, slots=True)
+class AirRecord(Record):
+    """Derived in the air data computer from the two pressures (and vanes when fitted)."""
+
+    indicated_airspeed: np.ndarray = column()  # m/s
+    airspeed: np.ndarray = column()  # m/s, true
+    alpha: np.ndarray = column()  # rad, NaN without vane
+    beta: np.ndarray = column()  # rad, NaN without vane
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseRecord(Record):
+    """Two-antenna interferometer on a ground emitter."""
+
+    phase: np.ndarray = column()  # rad, modulo 2 pi
+    phase_rate: np.ndarray = column()  # rad/s
+    bearing: np.ndarray = column()  # rad, coarse amplitude bearing
+
+
+SuiteBlock = dict[str, Record]
+"""One block of a suite: records by instrument: imu, mag, fix, velocity, heading, diff_pressure, static_pressure, air, interferometer."""

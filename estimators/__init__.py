@@ -1,0 +1,1 @@
+"""Attitude estimators on NumPy and Numba, usable without the simulator."""

@@ -1,0 +1,163 @@
+"""What goes into an estimator and what comes out: blocks of columns with one row per IMU sample.
+
+Frames: navigation n = local NED, body b = FRD, quaternion `q_nb` scalar first, Hamilton, body to navigation. SI and
+radians. Missing data are NaN, never zero.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import ClassVar, Self
+
+import numpy as np
+
+from estimators.errors import SampleError
+
+MEASUREMENTS = 12
+"""Columns of the innovation: room for the largest measurement vector of a model, unused ones NaN."""
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """A block: a frozen dataclass of arrays with one row per sample.
+
+    `block[a:b]` slices all columns, `len(block)` counts rows, `concatenate` joins blocks.
+    """
+
+    SHAPES: ClassVar[dict[str, tuple[int, ...]]] = {}
+
+    def __len__(self) -> int:
+        return len(getattr(self, dataclasses.fields(self)[0].name))
+
+    def __getitem__(self, rows: slice) -> Self:
+        return type(self)(*(getattr(self, f.name)[rows] for f in dataclasses.fields(self)))
+
+    @classmethod
+    def concatenate(cls, blocks: Sequence[Self]) -> Self:
+        """One block of all rows of `blocks` (at least one) in order."""
+        if len(blocks) == 1:
+            return blocks[0]
+        return cls(*(np.concatenate([getattr(b, f.name) for b in blocks]) for f in dataclasses.fields(cls)))
+
+
+def column(*shape: int, dtype: type = float) -> np.ndarray:
+    """A field of a block: `shape` of one row and type, used by `blank`."""
+    return field(metadata={"shape": shape, "dtype": dtype})  # type: ignore[no-any-return]
+
+
+def blank(cls: type, n: int) -> dict[str, np.ndarray]:
+    """Writable columns of `n` rows for a block type whose fields are made with `column`: NaN, 0 or False."""
+    columns = {}
+    for f in dataclasses.fields(cls):
+        shape, dtype = f.metadata["shape"], f.metadata["dtype"]
+        columns[f.name] = np.full((n, *shape), np.nan) if dtype is float else np.zeros((n, *shape), dtype)
+    return columns
+
+
+@dataclass(frozen=True, slots=True)
+class Samples(Columns):
+    """What an estimator sees: one row per IMU sample, slower sensors latched with a `*_new` mask.
+
+    A latched value is what was last received at `t`; `*_new` is true on the row at which it arrived. `gnss_t` and
+    `heading_t` say when the value was true (latency), the IMU's own delays are in `SensorInfo`.
+    """
+
+    t: np.ndarray = column()  # (n,) s, time stamp of the IMU sample
+    gyro_b: np.ndarray = column(3)  # (n, 3) rad/s
+    accel_b: np.ndarray = column(3)  # (n, 3) m/s2, specific force
+    mag_b: np.ndarray = column(3)  # (n, 3) T
+    mag_new: np.ndarray = column(dtype=bool)
+    lla: np.ndarray = column(3)  # (n, 3) GNSS latitude rad, longitude rad, ellipsoidal height m
+    vel_n: np.ndarray = column(3)  # (n, 3) m/s GNSS velocity
+    gnss_t: np.ndarray = column()  # (n,) s
+    gnss_satellites: np.ndarray = column()  # (n,) in use; NaN before the first message
+    gnss_new: np.ndarray = column(dtype=bool)
+    heading: np.ndarray = column()  # (n,) rad, true heading of the dual-antenna baseline
+    heading_sigma: np.ndarray = column()  # (n,) rad, as the receiver reports it
+    heading_t: np.ndarray = column()
+    heading_new: np.ndarray = column(dtype=bool)
+    airspeed: np.ndarray = column()  # (n,) m/s, true airspeed
+    alpha: np.ndarray = column()  # (n,) rad, angle of attack (vane), NaN when not fitted
+    beta: np.ndarray = column()  # (n,) rad, sideslip (vane), NaN when not fitted
+    air_new: np.ndarray = column(dtype=bool)
+
+    @classmethod
+    def make(cls, t: np.ndarray, gyro_b: np.ndarray, accel_b: np.ndarray, **columns: np.ndarray) -> "Samples":
+        """Samples from arrays; what is not given is missing (NaN, mask false).
+
+        Raises:
+            SampleError: an unknown column, or one whose shape does not fit `t` (n,).
+        """
+        made = blank(cls, len(t))
+        for name, value in {"t": t, "gyro_b": gyro_b, "accel_b": accel_b, **columns}.items():
+            if name not in made:
+                raise SampleError(f"Samples: no column '{name}'")
+            array = np.ascontiguousarray(value, dtype=made[name].dtype)
+            if array.shape != made[name].shape:
+                raise SampleError(f"Samples: {name} has shape {array.shape}, expected {made[name].shape}")
+            made[name] = array
+        return cls(**made)
+
+
+class Status(IntEnum):
+    """What an estimate is worth."""
+
+    ALIGNING = 0  # no attitude yet: the columns are NaN
+    RUNNING = 1
+    COASTING = 2  # a needed measurement is missing or refused: carried by the gyro
+    DIVERGED = 3  # numerically lost; restarted or NaN
+
+
+@dataclass(frozen=True, slots=True)
+class Estimates(Columns):
+    """What an estimator says: one row per row of `Samples`. What a method does not estimate is NaN."""
+
+    t: np.ndarray = column()  # (n,) s
+    status: np.ndarray = column(dtype=np.uint8)  # (n,) `Status`
+    q_nb: np.ndarray = column(4)  # (n, 4); NaN when the method has no heading
+    down_b: np.ndarray = column(3)  # (n, 3) unit down vector in body axes: the tilt alone
+    att_cov: np.ndarray = column(3, 3)  # (n, 3, 3) rad2, of the small rotation in body axes
+    gyro_bias: np.ndarray = column(3)  # (n, 3) rad/s
+    gyro_bias_sigma: np.ndarray = column(3)
+    accel_bias: np.ndarray = column(3)  # (n, 3) m/s2
+    accel_bias_sigma: np.ndarray = column(3)
+    lla: np.ndarray = column(3)  # (n, 3) rad, rad, m
+    vel_n: np.ndarray = column(3)  # (n, 3) m/s
+    innovation: np.ndarray = column(MEASUREMENTS)  # (n, MEASUREMENTS) decorrelated: independent, see filters
+    innovation_var: np.ndarray = column(MEASUREMENTS)  # its variances; NIS = sum of innovation^2 / variance
+    adaptation: np.ndarray = column(4)  # (n, 4) state of the adaptation policy, meaning by method
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """Where and when, known to any navigator: the fields that a filter takes as given."""
+
+    lla: tuple[float, float, float]  # rad, rad, m: where the flight starts
+    gravity: float = 9.80665  # m/s2
+    mag_n: tuple[float, float, float] = (2.2e-5, 0.0, 4.2e-5)  # T, local field (World Magnetic Model)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorInfo:
+    """What the data sheets say of the sensors behind a stream: one sigma, SI. A filter may use these and no more."""
+
+    rate: float = 100.0  # Hz, nominal
+    gyro_noise: float = 5e-4  # rad/s/sqrt(Hz), single-sided density: sigma = density sqrt(rate / 2)
+    gyro_bias: float = 5e-3  # rad/s, turn-on
+    gyro_instability: float = 5e-4  # rad/s, in run
+    gyro_scale: float = 5e-3  # scale factor and misalignment
+    accel_noise: float = 2e-3  # m/s2/sqrt(Hz)
+    accel_bias: float = 5e-2  # m/s2
+    accel_scale: float = 5e-3
+    mag_noise: float = 5e-7  # T, one sample
+    mag_bias: float = 5e-7  # T, hard iron left over
+    gyro_delay: float = 0.0  # s: the value at stamp t was true at t - delay
+    accel_delay: float = 0.0
+    mag_delay: float = 0.0
+    gnss_pos: float = 2.5  # m
+    gnss_vel: float = 0.1  # m/s
+    heading: float = 3.5e-3  # rad, dual antenna
+    airspeed: float = 0.3  # m/s
+    airspeed_scale: float = 0.02
+    antenna_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, GNSS antenna from the IMU, body axes
