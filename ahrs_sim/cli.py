@@ -1,0 +1,239 @@
+"""The command line: `ahrs-sim COMMAND ...`. Every command imports only what it uses."""
+
+import argparse
+import json
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ahrs_sim.errors import AhrsSimError, InputError
+from estimators.errors import EstimationError
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command; returns the exit code: 0 done, 1 a flight or check failed, 2 bad input, 130 stopped."""
+    arguments = _parser().parse_args(argv)
+    try:
+        return int(arguments.run(arguments) or 0)
+    except AhrsSimError as error:
+        print(f"ahrs-sim: {error}", file=sys.stderr)
+        return error.exit_code
+    except EstimationError as error:
+        print(f"ahrs-sim: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("ahrs-sim: stopped", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # `ahrs-sim info LOG | head`
+        sys.stderr.close()
+        return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="ahrs-sim",
+        description="Fly a model aircraft, measure it with low-cost sensors, estimate its attitude, say who was wrong.",
+    )
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+
+    fly = commands.add_parser("fly", help="fly a scenario into a log and print the accuracy table")
+    fly.add_argument("scenario", help="a TOML file, or the name of a shipped scenario (ahrs-sim list scenarios)")
+    fly.add_argument("-o", "--output", type=Path, metavar="LOG", help="default: logs/SCENARIO-seedN.mcap")
+    fly.add_argument("--seed", type=_natural, metavar="N", help="instead of the scenario's")
+    fly.add_argument(
+        "--estimator", action="append", default=[], metavar="NAME", help="only this one; may be repeated; or METHOD@SUITE"
+    )
+    fly.add_argument("--duration", type=_positive, metavar="S", help="end after S seconds")
+    fly.add_argument("--force", action="store_true", help="replace an existing log")
+    fly.add_argument("--block", type=_positive, metavar="S", help="seconds a block (the log does not depend on it)")
+    fly.add_argument("--json", action="store_true", help="print the accuracy as JSON")
+    fly.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    fly.set_defaults(run=_fly)
+
+    compare = commands.add_parser("compare", help="accuracy of every estimator in a log")
+    compare.add_argument("log", type=Path)
+    compare.add_argument("--reference", metavar="NAME", help="an estimator of the log instead of the truth")
+    compare.add_argument("--from", dest="start", type=float, metavar="T", help="from this time, s")
+    compare.add_argument("--to", dest="end", type=float, metavar="T", help="up to this time, s")
+    form = compare.add_mutually_exclusive_group()
+    form.add_argument("--json", action="store_true")
+    form.add_argument("--csv", action="store_true")
+    compare.set_defaults(run=_compare)
+
+    info = commands.add_parser("info", help="what is in a log")
+    info.add_argument("log", type=Path)
+    info.add_argument("--json", action="store_true")
+    info.set_defaults(run=_info)
+
+    recover = commands.add_parser("recover", help="make a log of what an interrupted flight has left")
+    recover.add_argument("part", type=Path, help="LOG.part, or any truncated log")
+    recover.add_argument("-o", "--output", type=Path, required=True, metavar="LOG")
+    recover.add_argument("--force", action="store_true", help="replace an existing log")
+    recover.set_defaults(run=_recover)
+
+    allan = commands.add_parser("allan", help="Allan deviation of the inertial channels of a log")
+    allan.add_argument("log", type=Path)
+    allan.add_argument("--topic", action="append", default=[], help="an Imu topic (default: all); may be repeated")
+    allan.add_argument("--plot", type=Path, metavar="PNG", help="draw the curves")
+    allan.add_argument("--json", action="store_true")
+    allan.set_defaults(run=_allan)
+
+    listing = commands.add_parser("list", help="what there is")
+    listing.add_argument("what", choices=["scenarios", "aircraft", "grades", "estimators"])
+    listing.add_argument("--json", action="store_true")
+    listing.set_defaults(run=_list)
+    return parser
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text} is not a positive number of seconds")
+    return value
+
+
+def _natural(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text} is negative; a seed is 0 or more")
+    return value
+
+
+def _fly(arguments: argparse.Namespace) -> int:
+    from ahrs_sim import scenario as scenarios
+
+    scenario = scenarios.load(
+        arguments.scenario, seed=arguments.seed, duration=arguments.duration, estimators=arguments.estimator
+    )
+    output = arguments.output or Path("logs") / f"{scenario.name}-seed{scenario.seed}.mcap"
+    if output.exists() and not arguments.force:
+        raise InputError(f"{output}: exists; give another -o or --force")
+    if arguments.output is None:
+        output.parent.mkdir(exist_ok=True)
+
+    from ahrs_sim import pipeline
+
+    stop: list[int] = []
+    previous = signal.signal(signal.SIGINT, lambda *_: stop.append(1))
+    try:
+        pipeline.fly(
+            scenario,
+            output,
+            force=arguments.force,
+            block_s=arguments.block or pipeline.BLOCK_S,
+            progress=_Progress(f"flying {scenario.name}", hidden=arguments.quiet or arguments.json),
+            stopped=lambda: bool(stop),
+        )
+    finally:
+        signal.signal(signal.SIGINT, previous)
+        _Progress.clear()
+        if output.exists() and not arguments.quiet:
+            _report(output, arguments)
+    return 130 if stop else 0
+
+
+def _report(output: Path, arguments: argparse.Namespace) -> None:
+    from ahrs_sim.review import compare
+
+    result = compare.compare(output)
+    print(json.dumps(result, indent=1) if arguments.json else f"{compare.table(result)}\n{output}")
+
+
+def _compare(arguments: argparse.Namespace) -> None:
+    from ahrs_sim.review import compare
+
+    result = compare.compare(arguments.log, reference=arguments.reference, start=arguments.start, end=arguments.end)
+    if arguments.json:
+        print(json.dumps(result, indent=1))
+    else:
+        print(compare.csv(result) if arguments.csv else compare.table(result))
+
+
+def _info(arguments: argparse.Namespace) -> None:
+    from ahrs_sim.log import info
+
+    print(json.dumps(info.summary(arguments.log), indent=1) if arguments.json else info.text(arguments.log))
+
+
+def _recover(arguments: argparse.Namespace) -> None:
+    from ahrs_sim.log.recover import recover
+
+    result = recover(arguments.part, arguments.output, force=arguments.force)
+    print(f"{arguments.output}: {result}")
+
+
+def _allan(arguments: argparse.Namespace) -> None:
+    from ahrs_sim.review import allan
+
+    result = allan.of_log(arguments.log, topics=arguments.topic)
+    print(json.dumps(allan.as_json(result), indent=1) if arguments.json else allan.text(result))
+    if arguments.plot:
+        allan.plot(result, arguments.plot)
+
+
+def _list(arguments: argparse.Namespace) -> None:
+    rows = _LISTS[arguments.what]()
+    if arguments.json:
+        print(json.dumps(rows, indent=1))
+        return
+    for row in rows:
+        name, *rest = (str(v) for v in row.values())
+        print(f"{name:24s}{'  '.join(rest)}".rstrip())
+
+
+def _scenarios() -> list[dict[str, Any]]:
+    from ahrs_sim import scenario as scenarios
+    from ahrs_sim.data import scenario_dir
+
+    loaded = [scenarios.load(str(path)) for path in sorted(scenario_dir().glob("*.toml"))]
+    return [{"name": s.name, "title": s.data.get("title", "")} for s in loaded]
+
+
+def _aircraft() -> list[dict[str, Any]]:
+    from ahrs_sim import flight
+
+    return [{"name": name, "from": origin} for name, origin in flight.aircraft()]
+
+
+def _grades() -> list[dict[str, Any]]:
+    from ahrs_sim import sensors
+
+    return sensors.grades()
+
+
+def _estimators() -> list[dict[str, Any]]:
+    import estimators
+
+    return [dict(row) for row in estimators.describe()]
+
+
+_LISTS = {"scenarios": _scenarios, "aircraft": _aircraft, "grades": _grades, "estimators": _estimators}
+
+
+class _Progress:
+    """A bar on the terminal for whatever takes longer than two seconds; nothing when stderr is not one."""
+
+    def __init__(self, title: str, *, hidden: bool = False) -> None:
+        import time
+
+        self.title = title
+        self.hidden = hidden or not sys.stderr.isatty()
+        self.clock = time.monotonic
+        self.begun = self.clock()
+        self.drawn = self.begun + 1.8
+
+    def __call__(self, t: float, end: float | None) -> None:
+        now = self.clock()
+        if self.hidden or now - self.drawn < 0.2:
+            return
+        self.drawn = now
+        done = min(1.0, t / end) if end else 0.0
+        bar = f"[{'#' * round(30 * done):30s}] {100 * done:3.0f} %" if end else ""
+        print(f"\r{self.title} {bar} {t:6.0f} s", end="", file=sys.stderr, flush=True)
+
+    @staticmethod
+    def clear() -> None:
+        if sys.stderr.isatty():
+            print("\r\033[K", end="", file=sys.stderr, flush=True)

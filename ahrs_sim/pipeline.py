@@ -1,0 +1,204 @@
+"""A flight from scenario to log: one loop over blocks.
+
+    flight -> sensors -> estimators -> log
+
+Each stage has `process(block) -> block` and keeps its own state. When an estimator flies the aircraft a block is one IMU
+sample long, else seconds; nothing else differs, and the log's bytes do not depend on it.
+"""
+
+import platform
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import estimators
+from ahrs_sim.errors import FlightError, InputError
+from ahrs_sim.flight import Flight, open_flight
+from ahrs_sim.flight.truth import Event
+from ahrs_sim.log.record import FlightLog
+from ahrs_sim.scenario import Component, Scenario
+from ahrs_sim.sensors import Assembler, Suite, make_suite
+from ahrs_sim.world import gravity, magnetic
+from estimators.types import Columns, Estimates, Site
+
+BLOCK_S = 2.0
+"""Length of a block when no estimator flies the aircraft, and of what the log is given at once."""
+
+
+@dataclass
+class Chain:
+    """A sensor suite and the estimators that listen to it."""
+
+    suite: Suite
+    assembler: Assembler
+    estimators: dict[str, estimators.Estimator]
+
+
+def fly(
+    scenario: Scenario,
+    output: Path,
+    *,
+    force: bool = False,
+    block_s: float = BLOCK_S,
+    progress: Callable[[float, float | None], None] = lambda t, end: None,
+    stopped: Callable[[], bool] = lambda: False,
+) -> None:
+    """Fly a scenario into a log.
+
+    Args:
+        scenario: what to fly.
+        output: the log; `output.part` until it is complete.
+        force: replace an existing log.
+        block_s: length of the blocks, s; the log does not depend on it.
+        progress: called with the time reached and the expected end (None: unknown), s.
+        stopped: asked after every block; true ends the flight and completes the log.
+
+    Raises:
+        InputError: something in the scenario is wrong, or the output cannot be written.
+        FlightError: the flight did not reach its end; the log is complete up to there.
+    """
+    flight = open_flight(scenario)
+    chains = _chains(scenario, flight)
+    closed_loop = scenario.pilot_attitude != "truth"
+    rows = _rows_per_sample(scenario, chains) if closed_loop else max(1, round(block_s * scenario.rate))
+    attachments = {"scenario.toml": scenario.toml().encode(), **flight.attachments()}
+    with FlightLog(
+        output,
+        epoch_ns=scenario.epoch_ns,
+        truth_rate=scenario.rate,
+        suites={c.suite.name: c.suite.instruments for c in chains},
+        estimators=[name for c in chains for name in c.estimators],
+        attachments=attachments,
+        metadata=_metadata(scenario, chains),
+        force=force,
+    ) as log:
+        record = _Recorder(log)
+        while len(truth := flight.process(rows)):
+            record.add(log.truth, truth)
+            for chain in chains:
+                block = chain.suite.process(truth)
+                for instrument, sent in block.items():
+                    record.add(log.record, sent, chain.suite.name, instrument)
+                samples = chain.assembler.process(block)
+                for name, estimator in chain.estimators.items():
+                    estimates = estimator.process(samples)
+                    record.add(log.estimates, estimates, name)
+                    if name == scenario.pilot_attitude:
+                        _feed_back(flight, estimates, samples.gyro_b)
+                record.events(chain.suite.take_events())
+            record.add(log.setpoints, flight.take_setpoints())
+            record.events(flight.take_events())
+            progress(float(truth.t[-1]), scenario.duration or flight.expected_duration)
+            if stopped():
+                record.events([Event(float(truth.t[-1]), "warning", "flight", "stopped by the user")])
+                break
+            record.flush_before(float(truth.t[-1]))
+        record.events(flight.take_events())
+        record.flush()
+    if flight.error:
+        raise FlightError(f"{scenario.where}: {flight.error}; the log is complete up to there: {output}")
+
+
+class _Recorder:
+    """Gathers small blocks and hands the log seconds at once: a message costs little, a call does not."""
+
+    def __init__(self, log: FlightLog) -> None:
+        self.log = log
+        self.waiting: dict[tuple[Any, ...], list[Columns]] = {}
+        self.event_list: list[Event] = []
+        self.flushed_to = 0.0
+
+    def add(self, write: Callable[..., None], block: Columns, *key: str) -> None:
+        if len(block):
+            self.waiting.setdefault((write, *key), []).append(block)
+
+    def events(self, events: list[Event]) -> None:
+        self.event_list.extend(events)
+
+    def flush_before(self, t: float) -> None:
+        if t - self.flushed_to >= BLOCK_S:
+            self.flush()
+            self.log.advance(t)
+            self.flushed_to = t
+
+    def flush(self) -> None:
+        for (write, *key), blocks in self.waiting.items():
+            write(*key, Columns.concatenate.__func__(type(blocks[0]), blocks))  # type: ignore[attr-defined]
+        self.waiting.clear()
+        self.log.events(self.event_list)
+        self.event_list = []
+
+
+def _chains(scenario: Scenario, flight: Flight) -> list[Chain]:
+    start = scenario.start
+    lla = np.array([start.latitude, start.longitude, start.altitude])
+    site = Site(
+        lla=(start.latitude, start.longitude, start.altitude),
+        gravity=float(gravity.normal(lla[None])[0]),
+        mag_n=tuple(magnetic.field_n(lla[None], scenario.epoch)[0]),
+    )
+    chains = []
+    faults = _by_suite(scenario)
+    for component in scenario.suites:
+        suite = make_suite(
+            component,
+            seed=scenario.seed,
+            dt=flight.dt,
+            epoch=scenario.epoch,
+            start_lla=lla,
+            faults=faults[component.name],
+        )
+        listening = {
+            e.name: _estimator(e, site, suite) for e in scenario.estimators if e.settings["suite"] == suite.name
+        }
+        chains.append(Chain(suite, Assembler(), listening))
+    return chains
+
+
+def _by_suite(scenario: Scenario) -> dict[str, list[Component]]:
+    faults: dict[str, list[Component]] = {s.name: [] for s in scenario.suites}
+    for fault in scenario.faults:
+        faults[fault.table().choice("suite", list(faults))].append(fault)
+    return faults
+
+
+def _estimator(component: Component, site: Site, suite: Suite) -> estimators.Estimator:
+    settings = {k: v for k, v in component.settings.items() if k not in ("method", "suite")}
+    try:
+        return estimators.create(component.settings["method"], site=site, sensors=suite.info, **settings)
+    except estimators.SettingError as error:
+        raise InputError(f"{component.where}: {error}") from None
+
+
+def _rows_per_sample(scenario: Scenario, chains: list[Chain]) -> int:
+    """Rows of truth from one sample of the flying estimator's IMU to the next."""
+    rate = next(c.suite.info.rate for c in chains if scenario.pilot_attitude in c.estimators)
+    return max(1, round(scenario.rate / rate))
+
+
+def _feed_back(flight: Flight, estimates: Estimates, gyro_b: np.ndarray) -> None:
+    """The last estimate to the autopilot, once there is one."""
+    if len(estimates) and np.isfinite(estimates.q_nb[-1, 0]):
+        flight.feedback(estimates.q_nb[-1], gyro_b[-1] - np.nan_to_num(estimates.gyro_bias[-1]))
+
+
+def _metadata(scenario: Scenario, chains: list[Chain]) -> dict[str, dict[str, str]]:
+    from importlib.metadata import version
+
+    packages = ("ahrs-sim", "jsbsim", "numpy", "numba", "wmm-calculator")
+    flight = {
+        "scenario": scenario.name,
+        "seed": str(scenario.seed),
+        "epoch": scenario.epoch.isoformat(),
+        "rate_hz": f"{scenario.rate:g}",
+        "pilot_attitude": scenario.pilot_attitude,
+    }
+    versions = {"python": platform.python_version(), **{name: version(name) for name in packages}}
+    suites = {f"suite {c.suite.name}": c.suite.specification() for c in chains}
+    methods = {
+        f"estimator {e.name}": {k: str(v) for k, v in e.settings.items()} for e in scenario.estimators
+    }
+    return {"flight": flight, "versions": versions, **suites, **methods}
