@@ -83,7 +83,7 @@ class Table:
         return value
 
     def flag(self, key: str, default: Any = _REQUIRED) -> bool:
-        """true or false."""
+        """`true` or `false`."""
         value = self.value(key, default)
         if not isinstance(value, bool):
             raise self.error(key, f"{value!r} is not true or false")

@@ -1,0 +1,182 @@
+"""`ahrs-sim compare`: how wrong was each estimator, over all and by phase of the flight.
+
+The log is read in its own chunks and only errors are kept (float32), so memory hardly grows with the flight.
+"""
+
+import io
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ahrs_sim.errors import InputError, nearest
+from ahrs_sim.log.reader import LogReader
+from ahrs_sim.review import metrics
+
+TRUTH_TOPIC = "/truth/odometry"
+AIR_TOPIC = "/truth/air"
+
+TURN_RATE = math.radians(3.0)
+"""rad/s of heading (mean over 2 s) from which on a flight is turning: the standard rate, 360 deg in two minutes."""
+
+SETTLING = 20.0
+"""s after a turn that count neither as turning nor as straight: what an estimator learnt wrong in the turn dies away."""
+
+PHASES = ("ground", "straight", "turning", "settling")
+
+
+def compare(
+    path: Path, *, reference: str | None = None, start: float | None = None, end: float | None = None
+) -> dict[str, Any]:
+    """Errors of every estimator in a log.
+
+    Args:
+        path: the log.
+        reference: an estimator of the log to compare with instead of the truth.
+        start, end: only samples in this span, s of flight.
+
+    Returns:
+        {"log", "reference", "from_s", "to_s", "estimators": {NAME: {"tilt_rmse_deg"..., "availability",
+        "phases": {PHASE: {...}}}}}. A value that cannot be told (a heading that the method does not estimate) is None.
+
+    Raises:
+        InputError: no log, no truth or estimator in it, or an unknown reference.
+    """
+    log = LogReader(path)
+    names = [t.split("/")[2] for t in log.topics if t.startswith("/est/") and t.endswith("/state")]
+    if not names:
+        raise InputError(f"{path}: no estimates in it (no topic /est/NAME/state); replay it with an estimator first")
+    if reference is not None and reference not in names:
+        raise InputError(f"{path}: --reference {reference}: no such estimator in this log{nearest(reference, names)}")
+    if TRUTH_TOPIC not in log.topics:
+        raise InputError(f"{path}: no {TRUTH_TOPIC} in it: there is nothing to compare with")
+    truth = _attitude(log, TRUTH_TOPIC)
+    phase = _phases(log, *truth)
+    against = _attitude(log, f"/est/{reference}/state") if reference else truth
+    low, high = (-math.inf if start is None else start), (math.inf if end is None else end)
+    if max(low, truth[0][0]) >= min(high, truth[0][-1]):
+        raise InputError(f"{path}: --from/--to: the log spans {truth[0][0]:.1f} to {truth[0][-1]:.1f} s")
+    estimators = {}
+    for name in names:
+        t, errors = _errors(log, name, *against)
+        within = (t >= low) & (t <= high)
+        estimators[name] = _summary(errors[within], phase(t[within]))
+    return {
+        "log": str(path),
+        "reference": reference or "truth",
+        "from_s": float(max(low, truth[0][0])),
+        "to_s": float(min(high, truth[0][-1])),
+        "estimators": estimators,
+    }
+
+
+def _stamps(log: LogReader, messages: np.ndarray) -> np.ndarray:
+    """Header stamps as seconds of flight, (n,)."""
+    stamp = messages["header"]["stamp"]
+    return (stamp["sec"].astype(np.int64) * 10**9 + stamp["nanosec"] - log.epoch_ns) * 1e-9
+
+
+def _quaternion(q: np.ndarray) -> np.ndarray:
+    """ROS fields x, y, z, w as (n, 4), scalar first."""
+    return np.column_stack([q["w"], q["x"], q["y"], q["z"]])
+
+
+def _attitude(log: LogReader, topic: str) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,) and attitude (n, 4) of a topic."""
+    times, quaternions = [], []
+    for messages in log.blocks(topic):
+        times.append(_stamps(log, messages))
+        q = messages["pose"]["pose"]["orientation"] if "pose" in messages.dtype.names else messages["orientation"]
+        quaternions.append(_quaternion(q))
+    if not times:
+        raise InputError(f"{log.path}: {topic} is empty: nothing to compare with")
+    return np.concatenate(times), np.concatenate(quaternions)
+
+
+def _errors(log: LogReader, name: str, t: np.ndarray, q_nb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,) and errors (n, 5) of an estimator against an attitude history."""
+    times, errors = [np.empty(0)], [np.empty((0, len(metrics.MEASURES)), np.float32)]
+    for messages in log.blocks(f"/est/{name}/state"):
+        at = _stamps(log, messages)
+        down = messages["down"]
+        down_b = np.column_stack([down["x"], down["y"], down["z"]])
+        reference = metrics.interpolate(t, q_nb, at)
+        times.append(at)
+        errors.append(metrics.attitude_errors(_quaternion(messages["orientation"]), down_b, reference).astype(np.float32))
+    return np.concatenate(times), np.concatenate(errors)
+
+
+def _phases(log: LogReader, t: np.ndarray, q_nb: np.ndarray) -> Any:
+    """A function from times (m,) to the index of the phase in PHASES (m,)."""
+    ground = np.zeros(len(t), bool)
+    if AIR_TOPIC in log.topics:
+        blocks = list(log.blocks(AIR_TOPIC))
+        on_ground = np.concatenate([b["on_ground"].astype(bool) for b in blocks])
+        at = np.concatenate([_stamps(log, b) for b in blocks])
+        ground = on_ground[np.clip(np.searchsorted(at, t - 1e-6), 0, len(at) - 1)]
+    heading = np.unwrap(metrics.euler(q_nb)[:, 2])
+    half = max(1, round(1.0 / float(np.median(np.diff(t))))) if len(t) > 2 else 1
+    later, earlier = np.minimum(np.arange(len(t)) + half, len(t) - 1), np.maximum(np.arange(len(t)) - half, 0)
+    span = np.maximum(t[later] - t[earlier], 1e-9)
+    turning = np.abs(heading[later] - heading[earlier]) / span > TURN_RATE
+    last_turn = np.maximum.accumulate(np.where(turning & ~ground, t, -np.inf))
+    phase = np.where(t - last_turn < SETTLING, PHASES.index("settling"), PHASES.index("straight"))
+    phase[turning] = PHASES.index("turning")
+    phase[ground] = PHASES.index("ground")
+    return lambda at: phase[np.clip(np.searchsorted(t, at - 1e-6), 0, len(t) - 1)]
+
+
+def _summary(errors: np.ndarray, phase: np.ndarray) -> dict[str, Any]:
+    summary: dict[str, Any] = dict(_finite(metrics.statistics(errors)))
+    tilt = errors[:, metrics.MEASURES.index("tilt")]
+    summary["availability"] = float(np.mean(np.isfinite(tilt))) if len(tilt) else 0.0
+    summary["phases"] = {
+        name: _finite(metrics.statistics(errors[phase == i])) | {"samples": int(np.sum(phase == i))}
+        for i, name in enumerate(PHASES)
+        if np.any(phase == i)
+    }
+    return summary
+
+
+def _finite(values: dict[str, float]) -> dict[str, float | None]:
+    """JSON has no NaN."""
+    return {k: v if math.isfinite(v) else None for k, v in values.items()}
+
+
+def table(result: dict[str, Any]) -> str:
+    """The result for a reader: one line an estimator, then tilt and heading by phase."""
+    out = io.StringIO()
+    against = "the truth" if result["reference"] == "truth" else result["reference"]
+    print(f"errors against {against}, {result['from_s']:.0f} to {result['to_s']:.0f} s, deg", file=out)
+    width = max(12, *(len(n) + 2 for n in result["estimators"]))
+    heads = "".join(f"{m:>19s}" for m in metrics.MEASURES)
+    print(f"{'':{width}s}{heads}\n{'':{width}s}{'rmse   p95   max'.rjust(19) * len(metrics.MEASURES)}", file=out)
+    for name, values in result["estimators"].items():
+        cells = [[values[f"{m}_{s}_deg"] for s in ("rmse", "p95", "max")] for m in metrics.MEASURES]
+        print(f"{name:{width}s}" + "".join(" " + "".join(_cell(v) for v in c) for c in cells), file=out)
+    phases = [p for p in PHASES if any(p in v["phases"] for v in result["estimators"].values())]
+    print(f"\n{'by phase, rmse':{width}s}" + "".join(f"{p:>16s}" for p in phases), file=out)
+    print(f"{'':{width}s}" + "    tilt heading" * len(phases), file=out)
+    for name, values in result["estimators"].items():
+        row = [values["phases"].get(p, {}) for p in phases]
+        cells2 = "".join(f"{_cell(r.get('tilt_rmse_deg'), 8)}{_cell(r.get('heading_rmse_deg'), 8)}" for r in row)
+        print(f"{name:{width}s}{cells2}", file=out)
+    return out.getvalue().rstrip()
+
+
+def _cell(value: float | None, width: int = 6) -> str:
+    if value is None:
+        return "-".rjust(width)
+    return f"{value:{width}.2f}" if value < 9.995 else f"{value:{width}.1f}"
+
+
+def csv(result: dict[str, Any]) -> str:
+    """The result as comma-separated values: a line per estimator and phase ("all": the whole flight)."""
+    keys = [f"{m}_{s}_deg" for m in metrics.MEASURES for s in ("rmse", "p95", "max")]
+    lines = [",".join(["estimator", "reference", "phase", *keys])]
+    for name, values in result["estimators"].items():
+        for phase, cells in {"all": values, **values["phases"]}.items():
+            numbers = ["" if cells[k] is None else repr(cells[k]) for k in keys]
+            lines.append(",".join([name, result["reference"], phase, *numbers]))
+    return "\n".join(lines)
