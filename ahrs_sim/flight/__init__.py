@@ -1,0 +1,66 @@
+"""Flying: JSBSim and the pilot, or a formula. The only place that imports JSBSim, and only when one flies."""
+
+from typing import Protocol
+
+import numpy as np
+
+from ahrs_sim.flight.truth import Event, Setpoints, Truth
+from ahrs_sim.scenario import Scenario
+
+
+class Flight(Protocol):
+    """A flight as the pipeline sees it, the same for JSBSim and for a motion."""
+
+    dt: float
+    """s between rows of the truth."""
+    done: bool
+    """Nothing more comes."""
+    error: str | None
+    """Why the flight ended before its scenario did: crash, time-out, numbers out of bounds."""
+    expected_duration: float | None
+    """s, about; None when nobody knows."""
+
+    def process(self, n: int) -> Truth:
+        """The next up to `n` rows, from t = 0 on; fewer when the flight ends, none when it is over."""
+        ...
+
+    def take_setpoints(self) -> Setpoints:
+        """What the pilot asked for since the last call."""
+        ...
+
+    def take_events(self) -> list[Event]:
+        """What happened since the last call, in order."""
+        ...
+
+    def feedback(self, q_nb: np.ndarray, rate_b: np.ndarray) -> None:
+        """Attitude (4,) and body rate (3,) rad/s for the autopilot to fly on, instead of the truth."""
+        ...
+
+    def attachments(self) -> dict[str, bytes]:
+        """The files of the aircraft that flies, by relative path."""
+        ...
+
+
+def open_flight(scenario: Scenario) -> Flight:
+    """Get a flight ready.
+
+    Raises:
+        InputError: unknown aircraft, script, manoeuvre, property or motion, or a value out of range.
+    """
+    if scenario.motion is not None:
+        from ahrs_sim.flight.motion import MotionFlight
+
+        return MotionFlight(scenario)
+    from ahrs_sim.flight.jsbsim_flight import JsbsimFlight
+
+    return JsbsimFlight(scenario)
+
+
+def aircraft_names() -> list[str]:
+    """Every aircraft that can fly: ours and JSBSim's."""
+    from ahrs_sim.flight.fdm import aircraft
+
+    return sorted(aircraft())
+
+
+__all__ = ["Event", "Flight", "Setpoints", "Truth", "aircraft_names", "open_flight"]

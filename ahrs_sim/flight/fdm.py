@@ -1,0 +1,184 @@
+"""JSBSim under control: found models, silent, every property checked.
+
+JSBSim answers 0.0 for a property that does not exist and creates one that is set, prints to the terminal, and is only
+reproducible from a fresh instance; this module makes each of those an error or impossible.
+"""
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from pathlib import Path
+
+import jsbsim
+
+from ahrs_sim.data import aircraft_dir
+from ahrs_sim.errors import InputError, nearest
+
+
+class _LastWords(jsbsim.FGLogger):  # type: ignore[misc]
+    """A silent logger that keeps the last error: JSBSim's reason when a model does not load."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.level = jsbsim.LogLevel.BULK
+        self.text = ""
+
+    def set_level(self, level: jsbsim.LogLevel) -> None:
+        self.level = level
+
+    def message(self, message: str) -> None:
+        if self.level in (jsbsim.LogLevel.ERROR, jsbsim.LogLevel.FATAL) and message.strip():
+            self.text = " ".join(message.split())
+
+
+class Fdm:
+    """One JSBSim instance with a loaded model."""
+
+    def __init__(self, dt: float) -> None:
+        self.log = _LastWords()
+        jsbsim.set_logger(self.log)
+        jsbsim.FGJSBBase().debug_lvl = 0
+        self.exec = jsbsim.FGFDMExec(None)
+        self.exec.set_root_dir(str(library_dir()))
+        self.exec.set_dt(dt)
+        self.dt = dt
+        self.sources: list[Path] = []
+        self._properties = self.exec.get_property_manager()
+        self._access: dict[str, str] = {}
+
+    def load_aircraft(self, name: str, where: str) -> None:
+        """Load the model `name` from our own aircraft or from JSBSim's library.
+
+        Raises:
+            InputError: there is no such aircraft, or JSBSim cannot read it.
+        """
+        folder = aircraft()
+        if name not in folder:
+            raise InputError(f"{where}: aircraft: '{name}' is unknown{nearest(name, folder)}")
+        self.exec.set_aircraft_path(str(folder[name].parent))
+        try:
+            loaded = self.exec.load_model(name)
+        except RuntimeError as error:
+            self.log.text = str(error)
+            loaded = False
+        if not loaded:
+            raise InputError(f"{where}: aircraft: JSBSim cannot load '{name}': {self.log.text or 'no reason given'}")
+        self._collect(folder[name], f"{name}.xml")
+
+    def load_script(self, name: str, where: str) -> float | None:
+        """Load a script of JSBSim's with its aircraft; its end time (s), None when it has none.
+
+        Raises:
+            InputError: there is no such script, or JSBSim cannot read it.
+        """
+        known = scripts()
+        if name not in known:
+            raise InputError(f"{where}: script: '{name}' is unknown{nearest(name, known)}")
+        try:
+            loaded = self.exec.load_script(str(known[name]), self.dt)
+        except RuntimeError as error:
+            self.log.text = str(error)
+            loaded = False
+        if not loaded:
+            raise InputError(f"{where}: script: JSBSim cannot load '{name}': {self.log.text or 'no reason given'}")
+        self.exec.set_dt(self.dt)
+        self.sources.append(known[name])
+        model = self.exec.get_model_name()
+        self._collect(library_dir() / "aircraft" / model, f"{model}.xml")
+        run = ET.parse(known[name]).getroot().find("run")
+        end = run.get("end") if run is not None else None
+        return float(end) if end else None
+
+    def has(self, name: str) -> bool:
+        """Does the property exist?"""
+        return self._properties.get_node(name) is not None
+
+    def getter(self, name: str, where: str = "JSBSim") -> Callable[[], float]:
+        """A bound reader of a property: the fast way to read.
+
+        Raises:
+            InputError: no such property.
+        """
+        node = self._properties.get_node(name)
+        if node is None:
+            raise self._unknown(name, where)
+        return node.get_double_value  # type: ignore[no-any-return]
+
+    def setter(self, name: str, where: str = "JSBSim") -> Callable[[float], None]:
+        """A bound writer of a property.
+
+        Raises:
+            InputError: no such property, or it cannot be written.
+        """
+        node = self._properties.get_node(name)
+        if node is None:
+            raise self._unknown(name, where)
+        if self._catalogue().get(name) == "R":
+            raise InputError(f"{where}: property '{name}' is read only; set one of the inputs it depends on")
+        return node.set_double_value  # type: ignore[no-any-return]
+
+    def __getitem__(self, name: str) -> float:
+        return self.getter(name)()
+
+    def __setitem__(self, name: str, value: float) -> None:
+        self.setter(name)(value)
+
+    def attachments(self) -> dict[str, bytes]:
+        """The XML files the flight was made from, by path relative to the folder of aircraft."""
+        files = {}
+        for path in self.sources:
+            for root in (aircraft_dir(), library_dir()):
+                if path.is_relative_to(root):
+                    files[path.relative_to(root).as_posix()] = path.read_bytes()
+                    break
+        return files
+
+    def _catalogue(self) -> dict[str, str]:
+        """Property -> "R", "W" or "RW"."""
+        if not self._access:
+            for line in self.exec.get_property_catalog():
+                name, _, access = line.partition(" (")
+                self._access[name] = access.rstrip(")")
+        return self._access
+
+    def _unknown(self, name: str, where: str) -> InputError:
+        known = self._catalogue()
+        hint = nearest(name, known)
+        if not hint.startswith("; did"):  # thousands of properties are no help
+            hint = f"; {self.exec.get_model_name()} has {len(known)}, none like it"
+        return InputError(f"{where}: property '{name}' does not exist{hint}")
+
+    def _collect(self, folder: Path, name: str) -> None:
+        """Note `folder/name` and the files it refers to, where they are found."""
+        path = folder / name
+        places = [folder, folder / "Engines", folder / "Systems", library_dir() / "engine", library_dir() / "systems"]
+        pending = [path]
+        while pending:
+            path = pending.pop()
+            if path in self.sources:
+                continue
+            self.sources.append(path)
+            for reference in re.findall(r'\bfile\s*=\s*"([^"]+)"', path.read_text(encoding="utf-8", errors="replace")):
+                file = reference if reference.endswith(".xml") else f"{reference}.xml"
+                found = [place / file for place in places if (place / file).is_file()]
+                pending.extend(found[:1])
+
+
+def library_dir() -> Path:
+    """The folder of the aircraft, engines, systems and scripts that come with JSBSim."""
+    return Path(jsbsim.get_default_root_dir())
+
+
+def aircraft() -> dict[str, Path]:
+    """Every aircraft that can fly, ours first, and its folder."""
+    found: dict[str, Path] = {}
+    for root in (aircraft_dir(), library_dir() / "aircraft"):
+        for folder in sorted(root.iterdir()) if root.is_dir() else ():
+            if (folder / f"{folder.name}.xml").is_file():
+                found.setdefault(folder.name, folder)
+    return found
+
+
+def scripts() -> dict[str, Path]:
+    """JSBSim's scripts by name."""
+    return {path.stem: path for path in sorted((library_dir() / "scripts").glob("*.xml"))}

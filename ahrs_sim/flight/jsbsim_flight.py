@@ -1,0 +1,363 @@
+"""A flight of JSBSim's: truth at every step, the pilot 50 times a second.
+
+Which property says what is not obvious, and several obvious ones are wrong:
+
+* `velocities/{p,q,r}-rad_sec` are relative to the rotating Earth; a gyro reads `{pi,qi,ri}`.
+* `accelerations/N*`, `a-pilot-*` and `<accelerometer>` are one step stale; specific force is
+  `forces/fb*-total-lbs / inertia/mass-slugs`, which leaves out weight and includes the wheels.
+* `position/geod-alt-ft` is the height above the ellipsoid; `h-sl-ft` is measured along the radius.
+
+After `run()` state, forces and accelerations belong to the same instant.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from ahrs_sim import seeds
+from ahrs_sim.errors import InputError
+from ahrs_sim.flight.fdm import Fdm
+from ahrs_sim.flight.manoeuvres import parse_steps
+from ahrs_sim.flight.pilot import Pilot
+from ahrs_sim.flight.truth import Event, Setpoints, Truth
+from ahrs_sim.scenario import TURBULENCE, Gust, Scenario
+from ahrs_sim.world import wgs84
+
+FT = 0.3048  # m
+INCH = 0.0254  # m
+PSF = 47.88025898033584  # Pa
+RANKINE = 5.0 / 9.0  # K
+
+PILOT_RATE = 50.0  # Hz
+SETTLE_GROUND = 4.0  # s until the springs of the wheels are at rest
+SETTLE_AIR = 15.0  # s until motor, trim and holds are
+SEVERITY = {"none": 0, "light": 3, "moderate": 4, "severe": 6}  # JSBSim's index into the curves of MIL-F-8785C
+HARD = 6.0  # m/s, sink rate at touchdown that no wheel survives
+
+# Property and factor to SI of each column of the raw block.
+_COLUMNS: tuple[tuple[str, float], ...] = (
+    ("position/lat-geod-rad", 1.0),
+    ("position/long-gc-rad", 1.0),
+    ("position/geod-alt-ft", FT),
+    ("velocities/v-north-fps", FT),
+    ("velocities/v-east-fps", FT),
+    ("velocities/v-down-fps", FT),
+    ("attitude/phi-rad", 0.5),  # half angles: what the quaternion needs
+    ("attitude/theta-rad", 0.5),
+    ("attitude/psi-rad", 0.5),
+    ("velocities/pi-rad_sec", 1.0),
+    ("velocities/qi-rad_sec", 1.0),
+    ("velocities/ri-rad_sec", 1.0),
+    ("accelerations/pidot-rad_sec2", 1.0),
+    ("accelerations/qidot-rad_sec2", 1.0),
+    ("accelerations/ridot-rad_sec2", 1.0),
+    ("forces/fbx-total-lbs", FT),  # lbf / slug = ft/s2
+    ("forces/fby-total-lbs", FT),
+    ("forces/fbz-total-lbs", FT),
+    ("inertia/cg-x-in", -INCH),  # structural axes are aft, right, up
+    ("inertia/cg-y-in", INCH),
+    ("inertia/cg-z-in", -INCH),
+    ("atmosphere/total-wind-north-fps", FT),
+    ("atmosphere/total-wind-east-fps", FT),
+    ("atmosphere/total-wind-down-fps", FT),
+    ("inertia/mass-slugs", 1.0),
+    ("velocities/vt-fps", FT),
+    ("aero/alpha-rad", 1.0),
+    ("aero/beta-rad", 1.0),
+    ("atmosphere/P-psf", PSF),
+    ("atmosphere/T-R", RANKINE),
+    ("position/h-agl-ft", FT),
+    ("gear/wow", 1.0),
+    ("propulsion/engine/propeller-rpm", 1.0),
+    ("fcs/throttle-pos-norm", 1.0),
+)
+_SCALE = np.array([factor for _, factor in _COLUMNS])
+_OPTIONAL = ("propulsion/engine/propeller-rpm", "fcs/throttle-pos-norm")  # gliders, jets
+VEL_DOWN, HEIGHT_AGL, WOW = 5, 30, 31  # columns that are read before conversion
+
+
+class JsbsimFlight:
+    """A flight as the pipeline sees it (see `ahrs_sim.flight.Flight`).
+
+    Raises:
+        InputError: unknown aircraft, script, manoeuvre or property, impossible start or gusts.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.error: str | None = None
+        self.dt = 1.0 / scenario.rate
+        steps = parse_steps(scenario.steps)  # before JSBSim starts: bad input is the cheapest error
+        _check_gusts(scenario)
+        self._events: list[Event] = []
+        self._fdm = fdm = Fdm(self.dt)
+        end = math.inf if scenario.duration is None else scenario.duration
+        self._scripted = scenario.script is not None
+        if scenario.script is not None:
+            script_end = fdm.load_script(scenario.script, scenario.where)
+            model = fdm.exec.get_model_name()
+            if scenario.aircraft not in ("", model):
+                raise InputError(
+                    f"{scenario.where}: aircraft: script '{scenario.script}' flies '{model}', not "
+                    f"'{scenario.aircraft}'; leave aircraft out"
+                )
+            if script_end is not None:
+                end = min(end, script_end)
+        else:
+            fdm.load_aircraft(scenario.aircraft, scenario.where)
+        self._rows = math.inf if end == math.inf else math.floor(end * scenario.rate + 1e-6) + 1
+        fdm["simulation/randomseed"] = seeds.integer(scenario.seed, "flight")
+        if fdm.has("atmosphere/randomseed"):
+            fdm["atmosphere/randomseed"] = seeds.integer(scenario.seed, "wind")
+        self._every = max(1, round(scenario.rate / PILOT_RATE))
+        if self._scripted:
+            fdm.exec.run_ic()
+        else:
+            self._start(scenario)
+        # the default, Euler's method, drifts 0.09 deg in 600 s; these are Adams-Bashforth 2 and Buss 2
+        fdm["simulation/integrator/rate/rotational"] = 3
+        fdm["simulation/integrator/position/rotational"] = 7
+        self._wind(scenario)
+        self._gusts = list(scenario.wind.gusts)
+        self._get = [_reader(fdm, name) for name, _ in _COLUMNS]
+        self._contacts = _contacts(fdm)
+        self._pilot = Pilot(fdm, steps, scenario.start.altitude, scenario.start.heading, self.dt * self._every)
+        self._settle(scenario)
+        self._run = fdm.exec.run
+        self._next = 0  # number of the next row
+        self._last: list[float] = []  # raw values of the last row
+        self._resting = [wow() > 0.0 for wow in self._contacts]  # skids: a contact that is there from the start
+        self.done = False
+        self.expected_duration: float | None = end if end < math.inf else None
+        if steps:
+            expected = sum(step.expected() for step in steps)
+            self.expected_duration = min(expected, end)
+
+    # -- what the pipeline calls
+
+    def process(self, n: int) -> Truth:
+        """The next up to `n` rows; fewer when the flight ends, none when it is over."""
+        raw = np.empty((n, len(_COLUMNS)))
+        k = 0
+        get, every = self._get, self._every
+        run = self._run
+        if self._next == 0 and n > 0 and not self.done:
+            self._last = [g() for g in get]
+            raw[0] = self._last
+            self._next = k = 1
+        while k < n and not self.done:
+            since = (self._next - 1) % every  # rows since the pilot last acted
+            if since == 0 and not self._tick((self._next - 1) * self.dt):
+                break
+            stop = min(n, k + every - since)
+            first = k
+            row = self._last
+            try:
+                for k in range(k, stop):
+                    if not run():
+                        stop = k
+                        self._finish(None)
+                        break
+                    raw[k] = row = [g() for g in get]
+            except RuntimeError as error:  # JSBSim gives up, e.g. on a position that is not a number
+                stop = k
+                self._finish(f"JSBSim stopped: {' '.join(str(error).split())}")
+            k = stop
+            self._last = row
+            self._next += k - first
+        return self._truth(raw[:k])
+
+    def take_setpoints(self) -> Setpoints:
+        """What the pilot asked for since the last call."""
+        return self._pilot.take_setpoints()
+
+    def take_events(self) -> list[Event]:
+        """What happened since the last call."""
+        events = sorted(self._events + self._pilot.take_events(), key=lambda event: event.t)
+        self._events = []
+        return events
+
+    def feedback(self, q_nb: np.ndarray, rate_b: np.ndarray) -> None:
+        """Attitude (4,) and body rate (3,) rad/s for the autopilot instead of the truth; NaN is ignored."""
+        self._pilot.feedback(q_nb, rate_b)
+
+    def attachments(self) -> dict[str, bytes]:
+        """The XML files of aircraft and script."""
+        return self._fdm.attachments()
+
+    # -- set-up
+
+    def _start(self, scenario: Scenario) -> None:
+        fdm, start = self._fdm, scenario.start
+        latitude, longitude = start.latitude, start.longitude
+        if self._settles(scenario):  # fly in from behind, to be at the start when it begins
+            speed_n = start.airspeed * math.cos(start.heading) - scenario.wind.speed * math.cos(scenario.wind.from_)
+            speed_e = start.airspeed * math.sin(start.heading) - scenario.wind.speed * math.sin(scenario.wind.from_)
+            meridian, prime = wgs84.radii(np.array(latitude))
+            latitude -= speed_n * SETTLE_AIR / float(meridian)
+            longitude -= speed_e * SETTLE_AIR / (float(prime) * math.cos(latitude))
+        fdm["ic/terrain-elevation-ft"] = start.altitude / FT
+        fdm["ic/lat-geod-rad"] = latitude
+        fdm["ic/long-gc-rad"] = longitude
+        fdm["ic/psi-true-rad"] = start.heading
+        if start.on_ground:
+            fdm["ic/h-agl-ft"] = 10.0
+            fdm.exec.run_ic()  # now the centre of gravity is known
+            wheels = [
+                fdm[f"{unit}/z-position"] for unit in _units(fdm, "gear/unit") or _units(fdm, "contact/unit")
+            ]
+            above = fdm["inertia/cg-z-in"] - min(wheels, default=0.0)
+            fdm["ic/h-agl-ft"] = above * INCH / FT
+            fdm["ic/vt-fps"] = 0.0
+        else:
+            fdm["ic/h-agl-ft"] = start.height / FT
+            fdm["ic/vt-fps"] = start.airspeed / FT
+            fdm["ic/phi-rad"] = start.roll
+            fdm["ic/theta-rad"] = start.pitch
+        fdm.exec.run_ic()
+        if not start.on_ground and not fdm.has("ap/motor-on"):
+            fdm["propulsion/set-running"] = -1  # piston and jet engines of the library
+
+    def _wind(self, scenario: Scenario) -> None:
+        fdm, wind = self._fdm, scenario.wind
+        if wind.speed > 0.0 or not self._scripted:
+            fdm["atmosphere/wind-north-fps"] = -wind.speed * math.cos(wind.from_) / FT
+            fdm["atmosphere/wind-east-fps"] = -wind.speed * math.sin(wind.from_) / FT
+        if wind.turbulence != "none":
+            fdm["atmosphere/turb-type"] = 3  # MIL-F-8785C
+            speed = TURBULENCE[wind.turbulence] / FT
+            fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = speed
+            fdm["atmosphere/turbulence/milspec/severity"] = SEVERITY[wind.turbulence]
+
+    def _settles(self, scenario: Scenario) -> bool:
+        """In the air and wings level under our autopilot: fly a few seconds before the flight begins."""
+        start = scenario.start
+        return not start.on_ground and self._fdm.has("ap/motor-on") and start.roll == start.pitch == 0.0
+
+    def _settle(self, scenario: Scenario) -> None:
+        """Let the transient of the start pass before row 0."""
+        if self._scripted:
+            return
+        start = scenario.start
+        if start.on_ground:
+            self._pilot.park()
+            seconds = SETTLE_GROUND
+        else:
+            self._pilot.hold(start.altitude + start.height, start.airspeed, start.heading)
+            seconds = SETTLE_AIR if self._settles(scenario) else 0.0
+        for _ in range(round(seconds / self.dt)):
+            self._fdm.exec.run()
+
+    # -- in flight
+
+    def _tick(self, t: float) -> bool:
+        """50 times a second, before the step that follows row `t`: crash, gusts, pilot. False: the flight is over."""
+        row = self._last
+        if self._next >= self._rows:
+            self._finish(None)
+            return False
+        if not self._scripted and (reason := self._crash(row)):
+            self._events.append(Event(t, "error", "flight", f"crash: {reason}"))
+            self._finish(f"crash at {t:.1f} s{self._pilot.during()}: {reason}")
+            return False
+        while self._gusts and self._gusts[0].at <= t:
+            self._gust(t, self._gusts.pop(0))
+        if not self._pilot.tick(t, row):
+            self._finish(self._pilot.error)
+            return False
+        return True
+
+    def _crash(self, row: list[float]) -> str | None:
+        if not math.isfinite(row[HEIGHT_AGL]):
+            return "the state is not a number any more"
+        if row[HEIGHT_AGL] < 0.0:
+            return "the aircraft is below the ground"
+        if row[WOW] > 0.0 and row[VEL_DOWN] * FT > HARD:
+            return f"hit the ground at {row[VEL_DOWN] * FT:.1f} m/s"
+        for resting, wow in zip(self._resting, self._contacts, strict=True):
+            if wow() > 0.0 and not resting:
+                return f"the airframe touched the ground at {math.hypot(*row[3:6]) * FT:.1f} m/s"
+        return None
+
+    def _gust(self, t: float, gust: Gust) -> None:
+        fdm = self._fdm
+        prefix = "atmosphere/cosine-gust"
+        for phase in ("startup", "steady", "end"):
+            fdm[f"{prefix}/{phase}-duration-sec"] = gust.rise
+        fdm[f"{prefix}/magnitude-ft_sec"] = gust.speed / FT
+        fdm[f"{prefix}/frame"] = 3  # NED
+        fdm[f"{prefix}/X-velocity-ft_sec"] = -math.cos(gust.from_)
+        fdm[f"{prefix}/Y-velocity-ft_sec"] = -math.sin(gust.from_)
+        fdm[f"{prefix}/Z-velocity-ft_sec"] = 0.0
+        fdm[f"{prefix}/start"] = 1
+        bearing = math.degrees(gust.from_) % 360.0
+        self._events.append(Event(t, "info", "flight", f"gust of {gust.speed:g} m/s from {bearing:.0f} deg"))
+
+    def _finish(self, error: str | None) -> None:
+        self.done = True
+        self.error = error
+
+    def _truth(self, raw: np.ndarray) -> Truth:
+        """Truth from raw rows, cut at the first that is not finite."""
+        finite = np.isfinite(raw[:, :-2]).all(axis=1)
+        if not finite.all():
+            raw = raw[: int(np.argmin(finite))]
+            first = self._next - len(finite) + len(raw)
+            self._next = first
+            self._finish(f"the state is not a number any more at {first * self.dt:.2f} s{self._pilot.during()}")
+            self._events.append(Event(first * self.dt, "error", "flight", "the state is not a number any more"))
+        n = len(raw)
+        column = np.multiply(raw.T, _SCALE[:, None], order="C")  # (columns, n)
+        cos, sin = np.cos(column[6:9]), np.sin(column[6:9])
+        q = np.empty((n, 4))
+        q[:, 0] = cos[0] * cos[1] * cos[2] + sin[0] * sin[1] * sin[2]
+        q[:, 1] = sin[0] * cos[1] * cos[2] - cos[0] * sin[1] * sin[2]
+        q[:, 2] = cos[0] * sin[1] * cos[2] + sin[0] * cos[1] * sin[2]
+        q[:, 3] = cos[0] * cos[1] * sin[2] - sin[0] * sin[1] * cos[2]
+        return Truth(
+            t=np.arange(self._next - n, self._next) * self.dt,
+            lla=np.ascontiguousarray(column[0:3].T),
+            vel_n=np.ascontiguousarray(column[3:6].T),
+            q_nb=q,
+            rate_ib_b=np.ascontiguousarray(column[9:12].T),
+            rate_dot_b=np.ascontiguousarray(column[12:15].T),
+            accel_b=np.ascontiguousarray((column[15:18] / column[24]).T),
+            cg_b=np.ascontiguousarray(column[18:21].T),
+            wind_n=np.ascontiguousarray(column[21:24].T),
+            airspeed=column[25],
+            alpha=column[26],
+            beta=column[27],
+            pressure=column[28],
+            temperature=column[29],
+            height_agl=column[HEIGHT_AGL],
+            on_ground=column[WOW] > 0.0,
+            rpm=column[32],
+            throttle=column[33],
+        )
+
+
+def _reader(fdm: Fdm, name: str) -> Callable[[], float]:
+    if name in _OPTIONAL and not fdm.has(name):
+        return lambda: math.nan
+    return fdm.getter(name)
+
+
+def _units(fdm: Fdm, prefix: str) -> list[str]:
+    """The wheels (`gear/unit`) or other points (`contact/unit`) that can touch the ground."""
+    names = [f"{prefix}[{i}]" if i else prefix for i in range(64)]
+    return [name for name in names if fdm.has(f"{name}/WOW")]
+
+
+def _contacts(fdm: Fdm) -> list[Callable[[], float]]:
+    return [fdm.getter(f"{unit}/WOW") for unit in _units(fdm, "contact/unit")]
+
+
+def _check_gusts(scenario: Scenario) -> None:
+    """JSBSim has one gust at a time."""
+    gusts = scenario.wind.gusts
+    for i, (gust, following) in enumerate(zip(gusts, gusts[1:], strict=False)):
+        if following.at < gust.at + 3.0 * gust.rise:
+            raise InputError(
+                f"{scenario.where}: [wind]: [[gust]] {i + 2}: at_s: {following.at:g} is before the previous gust ends at "
+                f"{gust.at + 3.0 * gust.rise:g} s; move it"
+            )

@@ -1,0 +1,336 @@
+"""The pilot: 50 times a second it looks at the aircraft and changes the set-points of the autopilot.
+
+The loops are closed in the aircraft's XML, inside JSBSim's step. Position and speed come from the truth; attitude and
+rates come from the autopilot's own inputs (`ap/in/...`), which are an estimate when the aircraft flies on one.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ahrs_sim.errors import InputError
+from ahrs_sim.flight.fdm import Fdm
+from ahrs_sim.flight.manoeuvres import Failure, Manoeuvre
+from ahrs_sim.flight.truth import Event, Setpoints
+from ahrs_sim.world import wgs84
+
+FT = 0.3048  # m
+
+
+def wrap(angle: float) -> float:
+    """The same angle in [-pi, pi)."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+class State:
+    """What the pilot knows at one moment; SI, radians. Position is relative to where the flight started."""
+
+    __slots__ = (
+        "airspeed", "altitude", "climb", "course", "east", "ground_speed", "heading", "height", "home_heading", "north",
+        "on_ground", "pitch", "pitched", "q", "roll", "rolled", "t", "turned",
+    )  # fmt: skip
+
+    t: float  # s
+    north: float  # m from the start
+    east: float  # m
+    altitude: float  # m above sea level
+    height: float  # m above the ground at the start
+    climb: float  # m/s
+    ground_speed: float  # m/s
+    course: float  # of the ground track
+    airspeed: float  # m/s, true
+    roll: float
+    pitch: float
+    heading: float
+    q: float  # rad/s, pitch rate
+    on_ground: bool
+    turned: float  # heading without jumps: change since the flight began
+    rolled: float  # integral of the roll rate
+    pitched: float  # integral of the pitch rate: a loop is 2 pi
+    home_heading: float  # of the runway: the heading at the start
+
+
+class Autopilot:
+    """The set-points of `aircraft/*/autopilot.xml` (documented there), and what they are for the log.
+
+    `altitude_goal`, `heading_goal` and `airspeed_goal` are what the aircraft is cleared for: manoeuvres come back to
+    them, so that a chain of steps does not drift.
+    """
+
+    def __init__(self, fdm: Fdm) -> None:
+        self._fdm = fdm
+        self._set: dict[str, Callable[[float], None]] = {}
+        self.altitude_goal = 0.0
+        self.heading_goal = 0.0
+        self.airspeed_goal = 20.0
+        self.asked = [math.nan] * 6  # roll, pitch, heading, altitude, climb rate, airspeed
+
+    def set(self, name: str, value: float) -> None:
+        """Write `ap/name`."""
+        try:
+            self._set[name](value)
+        except KeyError:
+            self._set[name] = self._fdm.setter(f"ap/{name}")
+            self._set[name](value)
+
+    def get(self, name: str) -> float:
+        """Read `ap/name`; for rare use."""
+        return self._fdm[f"ap/{name}"]
+
+    def roll(self, angle: float) -> None:
+        """Hold a bank angle."""
+        self.set("lateral-mode", 1)
+        self.set("roll-cmd-rad", angle)
+        self.asked[0], self.asked[2] = angle, math.nan
+
+    def heading(self, angle: float, bank_limit: float = math.radians(30.0)) -> None:
+        """Turn to a heading, the shortest way, and hold it."""
+        self.set("lateral-mode", 2)
+        self.set("bank-limit-rad", bank_limit)
+        self.set("heading-cmd-rad", angle)
+        self.asked[0], self.asked[2] = math.nan, angle % (2.0 * math.pi)
+
+    def roll_rate(self, rate: float) -> None:
+        """Hold a roll rate."""
+        self.set("lateral-mode", 3)
+        self.set("roll-rate-cmd-rad_sec", rate)
+        self.asked[0] = self.asked[2] = math.nan
+
+    def pitch(self, angle: float) -> None:
+        """Hold a pitch angle."""
+        self.set("vertical-mode", 1)
+        self.set("pitch-cmd-rad", angle)
+        self.asked[1], self.asked[3], self.asked[4] = angle, math.nan, math.nan
+
+    def altitude(self, altitude: float, rate: float = 3.0) -> None:
+        """Go to an altitude (m above sea level) at `rate` (m/s) and hold it."""
+        self.set("vertical-mode", 2)
+        self.set("climb-limit-mps", rate)
+        self.set("altitude-cmd-m", altitude)
+        self.asked[1], self.asked[3], self.asked[4] = math.nan, altitude, math.nan
+
+    def climb_rate(self, rate: float) -> None:
+        """Hold a climb rate."""
+        self.set("vertical-mode", 3)
+        self.set("climb-rate-cmd-mps", rate)
+        self.asked[1], self.asked[3], self.asked[4] = math.nan, math.nan, rate
+
+    def pitch_rate(self, rate: float) -> None:
+        """Hold a pitch rate."""
+        self.set("vertical-mode", 4)
+        self.set("pitch-rate-cmd-rad_sec", rate)
+        self.asked[1] = self.asked[3] = self.asked[4] = math.nan
+
+    def airspeed(self, speed: float) -> None:
+        """Hold an airspeed with the throttle."""
+        self.set("throttle-mode", 1)
+        self.set("airspeed-cmd-mps", speed)
+        self.asked[5] = speed
+
+    def throttle(self, setting: float) -> None:
+        """Fix the throttle, 0 to 1."""
+        self.set("throttle-mode", 0)
+        self.set("throttle-cmd-norm", setting)
+        self.asked[5] = math.nan
+
+    def level(self) -> None:
+        """Altitude, airspeed and coordination as cleared; the roll axis is left alone."""
+        self.set("phase", 0)
+        self.set("motor-on", 1)
+        self.set("brake-cmd-norm", 0)
+        self.set("yaw-mode", 1)
+        self.altitude(self.altitude_goal)
+        self.airspeed(self.airspeed_goal)
+
+    def cruise(self) -> None:
+        """Everything as cleared: heading too."""
+        self.level()
+        self.heading(self.heading_goal)
+
+    def park(self) -> None:
+        """Stand: controls neutral, throttle closed, brakes on."""
+        self.set("phase", 0)
+        for axis, surface in (("lateral", "aileron"), ("vertical", "elevator"), ("yaw", "rudder")):
+            self.set(f"{axis}-mode", 0)
+            self.set(f"{surface}-cmd-norm", 0)
+        self.throttle(0.0)
+        self.set("brake-cmd-norm", 1)
+        self.asked = [math.nan] * 6
+
+
+class Pilot:
+    """Flies the steps one after the other.
+
+    Args:
+        fdm: the aircraft, ready to fly.
+        steps: manoeuvres in order; none: nobody touches the controls (a script does).
+        altitude: m above sea level of the ground at the start.
+        heading: rad, at the start: the runway's.
+        dt: s between ticks.
+
+    Raises:
+        InputError: a step needs our autopilot, which this aircraft has not, or names an unknown property.
+    """
+
+    def __init__(
+        self, fdm: Fdm, steps: Sequence[Manoeuvre], altitude: float, heading: float, dt: float
+    ) -> None:
+        self._steps = list(steps)
+        self._dt = dt
+        self._ground = altitude
+        self._external = False
+        self.error: str | None = None
+        self.autopilot = Autopilot(fdm) if fdm.has("ap/lateral-mode") and fdm.has("ap/in/phi-rad") else None
+        for step in self._steps:
+            step.bind(fdm)
+            if step.needs_autopilot and self.autopilot is None:
+                raise InputError(
+                    f"{step.where}: do: '{step.name}' needs the autopilot of our own aircraft, which "
+                    f"'{fdm.exec.get_model_name()}' has not; use wait, set, or a script"
+                )
+        own = self.autopilot is not None
+        euler = ("phi-rad", "theta-rad", "psi-rad")
+        rates = ("p-rad_sec", "q-rad_sec", "r-rad_sec")
+        self._get = [fdm.getter(f"ap/in/{x}" if own else f"attitude/{x}") for x in euler]
+        self._get += [fdm.getter(f"ap/in/{x}" if own else f"velocities/{x}") for x in rates]
+        if own:
+            names = [f"ap/out/{x}-norm" for x in ("aileron", "elevator", "rudder", "throttle")]
+            self._signs = (1.0, 1.0, 1.0, 1.0)
+        else:  # JSBSim's own commands: elevator and rudder are positive down and left
+            names = [f"fcs/{x}-cmd-norm" for x in ("aileron", "elevator", "rudder", "throttle")]
+            self._signs = (1.0, -1.0, -1.0, 1.0)
+        self._surfaces = [fdm.getter(name) if fdm.has(name) else lambda: math.nan for name in names]
+        if own:
+            self._ext = [fdm.setter(f"ap/ext/{x}") for x in euler + rates]
+        self.state = State()
+        self.state.turned = self.state.rolled = self.state.pitched = 0.0
+        self.state.home_heading = heading
+        self._origin: tuple[float, float, float, float] | None = None  # latitude, longitude, m per rad of each
+        self._number = -1  # of the current step
+        self._began = 0.0
+        self._setpoints: list[list[float]] = []
+        self._events: list[Event] = []
+
+    def park(self) -> None:
+        """Before the flight, on the ground: brakes on, motor off."""
+        if self.autopilot is not None:
+            self.autopilot.heading_goal = self.state.home_heading
+            self.autopilot.altitude_goal = self._ground
+            self.autopilot.park()
+
+    def hold(self, altitude: float, airspeed: float, heading: float) -> None:
+        """Before the flight, in the air: hold altitude (m above sea level), airspeed (m/s) and heading (rad)."""
+        if self.autopilot is not None:
+            self.autopilot.altitude_goal = altitude
+            self.autopilot.airspeed_goal = airspeed
+            self.autopilot.heading_goal = heading
+            self.autopilot.cruise()
+
+    def feedback(self, q_nb: np.ndarray, rate_b: np.ndarray) -> None:
+        """Attitude (4,) and rates (3,) rad/s of an estimator for the autopilot; what is not finite is ignored."""
+        a, b, c, d = (float(x) for x in q_nb)
+        p, q, r = (float(x) for x in rate_b)
+        if self.autopilot is None or not math.isfinite(a + b + c + d + p + q + r):
+            return
+        if not self._external:
+            self.autopilot.set("external", 1)
+            self._external = True
+        roll = math.atan2(2.0 * (a * b + c * d), 1.0 - 2.0 * (b * b + c * c))
+        pitch = math.asin(max(-1.0, min(1.0, 2.0 * (a * c - b * d))))
+        heading = math.atan2(2.0 * (a * d + b * c), 1.0 - 2.0 * (c * c + d * d))
+        for put, value in zip(self._ext, (roll, pitch, heading, p, q, r), strict=True):
+            put(value)
+
+    def tick(self, t: float, row: Sequence[float]) -> bool:
+        """Act on the state at `t` (raw row of the flight); False when the last step is done or one has failed."""
+        self._look(t, row)
+        going = self._fly(t)
+        asked = self.autopilot.asked if self.autopilot is not None else [math.nan] * 6
+        surfaces = [sign * get() for sign, get in zip(self._signs, self._surfaces, strict=True)]
+        self._setpoints.append([t, self._number, *asked, *surfaces])
+        return going
+
+    def during(self) -> str:
+        """` in step 3 (turn)`, for messages."""
+        return f" in {self._label()}" if 0 <= self._number < len(self._steps) else ""
+
+    def take_setpoints(self) -> Setpoints:
+        """Set-points since the last call."""
+        raw = np.array(self._setpoints).reshape(-1, 12)
+        self._setpoints = []
+        columns = np.ascontiguousarray(raw[:, [0, 2, 3, 4, 5, 6, 7]].T)
+        return Setpoints(
+            t=columns[0],
+            step=raw[:, 1].astype(np.int32),
+            roll=columns[1],
+            pitch=columns[2],
+            heading=columns[3],
+            altitude=columns[4],
+            climb_rate=columns[5],
+            airspeed=columns[6],
+            surfaces=np.ascontiguousarray(raw[:, 8:12]),
+        )
+
+    def take_events(self) -> list[Event]:
+        """Events since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def _fly(self, t: float) -> bool:
+        if not self._steps:
+            return True
+        ap, state = self.autopilot, self.state
+        try:
+            if self._number < 0:
+                self._begin(0, t)
+            step = self._steps[self._number]
+            while step.step(ap, state):  # type: ignore[arg-type]  # checked: a step without autopilot asks for none
+                self._events.append(Event(t, "info", "pilot", f"{self._label()} ends"))
+                if self._number + 1 == len(self._steps):
+                    return False
+                self._begin(self._number + 1, t)
+                step = self._steps[self._number]
+            if t - self._began > step.timeout:
+                raise Failure(f"not finished after {step.timeout:g} s: {step.progress(state)}")
+        except Failure as failure:
+            self.error = f"{self._label()}: {failure}"
+            self._events.append(Event(t, "error", "pilot", self.error))
+            return False
+        return True
+
+    def _begin(self, number: int, t: float) -> None:
+        self._number = number
+        self._began = t
+        step = self._steps[number]
+        self._events.append(Event(t, "info", "pilot", f"{self._label()} begins"))
+        if step.in_flight and self.state.on_ground:
+            raise Failure("the aircraft is on the ground; take off first")
+        step.begin(self.autopilot, self.state)  # type: ignore[arg-type]
+
+    def _label(self) -> str:
+        return f"step {self._number + 1} ({self._steps[self._number].name})"
+
+    def _look(self, t: float, row: Sequence[float]) -> None:
+        """Fill `state`; the columns are those of `jsbsim_flight._COLUMNS`."""
+        state = self.state
+        if self._origin is None:
+            meridian, prime = wgs84.radii(np.array(row[0]))
+            self._origin = (row[0], row[1], float(meridian), float(prime) * math.cos(row[0]))
+            state.heading = self._get[2]()
+        lat, lon, per_lat, per_lon = self._origin
+        state.t = t
+        state.north = (row[0] - lat) * per_lat
+        state.east = (row[1] - lon) * per_lon
+        state.altitude = row[2] * FT
+        state.height = state.altitude - self._ground
+        state.ground_speed = math.hypot(row[3], row[4]) * FT
+        state.course = math.atan2(row[4], row[3])
+        state.climb = -row[5] * FT
+        state.airspeed = row[25] * FT
+        state.on_ground = row[31] > 0.0
+        before = state.heading
+        state.roll, state.pitch, state.heading, p, state.q, _ = (get() for get in self._get)
+        state.turned += wrap(state.heading - before)
+        state.rolled += p * self._dt
+        state.pitched += state.q * self._dt

@@ -1,0 +1,1 @@
+"""The Earth: ellipsoid, gravity, magnetic field, satellites. Knows nothing of aircraft and sensors."""
