@@ -13,9 +13,10 @@ Plain old CDR as every ROS 2 middleware writes it: 4 bytes of header, then each 
 counted from behind the header; strings as length with NUL, NUL-terminated; sequences as length, then elements.
 """
 
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -55,7 +56,8 @@ class CdrError(ValueError):
     """A definition that cannot be understood, or bytes that do not follow theirs."""
 
 
-class Field(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Field:
     """One field of a message; `count` is None for one value, n for an array, -1 for a sequence of any length."""
 
     name: str
@@ -82,7 +84,8 @@ def parse_definitions(name: str, text: str) -> Definitions:
         CdrError: a line, a type or a dependency is not understood.
     """
     definitions: Definitions = {}
-    current, lines = short_name(name), []
+    current = short_name(name)
+    lines: list[str] = []
     for line in [*text.splitlines(), "MSG: "]:
         if line.startswith("MSG: "):
             definitions.setdefault(current, _fields(current, lines))
@@ -95,7 +98,11 @@ def parse_definitions(name: str, text: str) -> Definitions:
             if used not in _KNOWN:
                 raise CdrError(f"{name}: the definition of {used} is missing")
             definitions[used] = _fields(used, _KNOWN[used].splitlines())
-        needed += [f.type for f in definitions[used] if f.type not in PRIMITIVES and f.type != "string" and f.type not in needed]
+        needed += [
+            f.type
+            for f in definitions[used]
+            if f.type not in PRIMITIVES and f.type != "string" and f.type not in needed
+        ]
     definitions = {used: definitions[used] for used in needed}
     if _leaves(definitions, short_name(name), {}) > _LEAVES:
         raise CdrError(f"{name}: more than {_LEAVES} fields")
@@ -192,7 +199,9 @@ class Place:
     offset: int  # bytes from the start of the payload, header included
     dtype: str
     shape: tuple[int, ...]
-    kind: str = "plain"  # "quaternion": given scalar first, stored scalar last; "time": given in ns, stored as sec, nanosec
+    kind: str = (
+        "plain"  # "quaternion": given scalar first, stored scalar last; "time": given in ns, stored as sec, nanosec
+    )
 
     def set(self, rows: np.ndarray, values: Any, start: int = 0) -> None:
         """Put `values`, one row per message or one for all, into messages.
@@ -396,7 +405,8 @@ class _Decoder:
         text = self.rows[:, start : start + max(n - 1, 0)]
         self.at += n
         if not len(text) or (text == text[0]).all():
-            column[...] = bytes(text[0]).decode(errors="replace")
+            # One object for all, and for all arrays that are read: comparing them stays cheap.
+            column[...] = sys.intern(bytes(text[0]).decode(errors="replace")) if len(text) else ""
             return
         for i, row in enumerate(text):
             column[i] = bytes(row).decode(errors="replace")

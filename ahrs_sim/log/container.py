@@ -65,7 +65,7 @@ class Container:
         builder = RecordBuilder()
         record.write(builder)
         start = self._at
-        self._write(builder.end())
+        self._write(builder.end())  # type: ignore[no-untyped-call]
         return start, self._at - start
 
     def flush(self) -> None:
@@ -173,7 +173,7 @@ class Container:
         offset_start = summary_start + builder.count
         for offset in offsets:
             offset.write(builder)
-        summary = builder.end()
+        summary: bytes = builder.end()  # type: ignore[no-untyped-call]
         self._write(summary)
         # The footer's checksum covers the summary and the footer up to the checksum itself.
         head = struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start)

@@ -1,8 +1,8 @@
-'''The messages of our logs: standard ROS 2 types where they exist, `ahrs_sim_msgs` with fixed arrays for the rest.
+"""The messages of our logs: standard ROS 2 types where they exist, `ahrs_sim_msgs` with fixed arrays for the rest.
 
 To add a type, write its definition into `_DEFINITIONS`, one field a line with unit and frame as comment: the comment travels in every
 log's schema and into `logs/README.md`.
-'''
+"""
 
 import functools
 
@@ -109,15 +109,15 @@ float64 variance
 MSG: ahrs_sim_msgs/TruthState
 std_msgs/Header header
 float64[3] lla # rad, rad, m: geodetic latitude, longitude, ellipsoidal height (WGS84) of the centre of gravity
-float64[3] velocity_n # m/s, NED, relative to the Earth
-float64[3] rate_dot_b # rad/s2, FRD, derivative of the inertial body rate
-float64[3] cg_b # m, FRD, centre of gravity in the aircraft's reference frame
+geometry_msgs/Vector3 velocity # m/s, NED, relative to the Earth
+geometry_msgs/Vector3 angular_acceleration # rad/s2, FRD, derivative of the inertial body rate
+geometry_msgs/Vector3 centre_of_gravity # m, FRD axes, in the aircraft's reference frame
 MSG: ahrs_sim_msgs/TruthAir
 std_msgs/Header header
 float64 airspeed # m/s, true
 float64 alpha # rad, angle of attack
 float64 beta # rad, sideslip
-float64[3] wind_n # m/s, NED, velocity of the air, gusts and turbulence included
+geometry_msgs/Vector3 wind # m/s, NED, velocity of the air, gusts and turbulence included
 float64 pressure # Pa, static
 float64 temperature # K
 float64 rpm # 1/min, propeller
@@ -128,13 +128,13 @@ MSG: ahrs_sim_msgs/Heading
 std_msgs/Header header
 float64 heading # rad, true heading of the antenna baseline
 float64 sigma # rad, one sigma as the receiver reports it
-uint8 satellites # used
+uint8 satellites # in use
 MSG: ahrs_sim_msgs/AirData
 std_msgs/Header header
 float64 indicated_airspeed # m/s
 float64 airspeed # m/s, true
-float64 alpha # rad, NaN without a vane
-float64 beta # rad, NaN without a vane
+float64 alpha # rad, angle of attack; NaN without a vane
+float64 beta # rad, sideslip; NaN without a vane
 MSG: ahrs_sim_msgs/EmitterPhase
 std_msgs/Header header
 float64 phase # rad, modulo 2 pi, between the two antennas
@@ -143,24 +143,24 @@ float64 bearing # rad, coarse bearing from the amplitudes
 MSG: ahrs_sim_msgs/SensorStatus
 std_msgs/Header header
 bool saturated # an axis is at the end of its range
-uint8 satellites # used; 0 for instruments without
+uint8 satellites # in use; 0 for instruments that need none
 MSG: ahrs_sim_msgs/EstimatorState
 std_msgs/Header header
 uint8 ALIGNING=0
 uint8 RUNNING=1
 uint8 COASTING=2
 uint8 DIVERGED=3
-uint8 status
-float64[4] q_nb # body FRD to NED, scalar first, Hamilton; NaN without a heading
-float64[3] down_b # unit down vector in body axes: the tilt alone
-float64[3] gyro_bias # rad/s, FRD
-float64[3] accel_bias # m/s2, FRD
+uint8 status # 0 aligning, 1 running, 2 coasting, 3 diverged
+geometry_msgs/Quaternion orientation # body FRD to NED, Hamilton; NaN without a heading
+geometry_msgs/Vector3 down # unit down vector in body axes: the tilt alone
+geometry_msgs/Vector3 gyro_bias # rad/s, FRD
+geometry_msgs/Vector3 accel_bias # m/s2, FRD
 float64[3] lla # rad, rad, m
-float64[3] velocity_n # m/s, NED
+geometry_msgs/Vector3 velocity # m/s, NED
 float32[9] attitude_covariance # rad2, row by row, of the small rotation in body axes
 float32[3] gyro_bias_sigma # rad/s
 float32[3] accel_bias_sigma # m/s2
-float32[12] innovation # decorrelated; units of the method's measurements; NaN where unused
+float32[12] innovation # decorrelated, in the units of the method's measurements; NaN where unused
 float32[12] innovation_variance # of the above; NIS is the sum of innovation^2 / innovation_variance
 float32[4] adaptation # state of the adaptation policy, meaning by method
 MSG: ahrs_sim_msgs/Setpoints

@@ -10,6 +10,7 @@ Lengths and offsets in a file are not trusted: each is checked against what is t
 wrong is one `InputError` naming the file.
 """
 
+import functools
 import os
 import struct
 import threading
@@ -19,7 +20,7 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar, overload
+from typing import IO, TYPE_CHECKING, Any, NamedTuple, Self, TypeVar, overload
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -54,6 +55,7 @@ _FOOTER = RECORD_HEAD.size + 20
 _CHUNK_HEAD = struct.Struct("<QQQI")  # start, end, uncompressed size, checksum
 _PIECE = 8 << 20  # of an unchunked file, at a time
 _BATCH = 16 << 20  # messages decoded together
+_PORTION = 2 << 20  # messages given out together
 _SMALL = 64  # bytes: no record of interest is shorter than a message's head
 
 
@@ -94,7 +96,8 @@ class Contents:
     metadata: list[MetadataIndex] = field(default_factory=list)
 
 
-class TopicInfo(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
     """One topic of a log."""
 
     topic: str
@@ -140,7 +143,9 @@ class LogReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.close()
 
     # ------------------------------------------------------------------------------------------- contents
@@ -183,14 +188,25 @@ class LogReader:
         return min((p.start for p in pieces), default=0), max((p.end for p in pieces), default=0)
 
     @property
+    def epoch_ns(self) -> int:
+        """Zero of the time of flight, ns since 1970: as our logs state it, else the first log time."""
+        try:
+            return int(self.metadata["log"]["epoch_ns"])
+        except (KeyError, ValueError):
+            return self.time_range_ns[0]
+
+    @property
     def schemas(self) -> dict[str, str]:
         """Definition text by type name."""
         return {s.name: s.data.decode(errors="replace") for s in self._contents.schemas.values()}
 
-    @property
+    @functools.cached_property
     def metadata(self) -> dict[str, dict[str, str]]:
         """Metadata records by name; of equal names the last."""
-        return {m.name: m.metadata for m in (self._indexed(i, Opcode.METADATA, Metadata.read) for i in self._contents.metadata)}
+        return {
+            m.name: m.metadata
+            for m in (self._indexed(i, Opcode.METADATA, Metadata.read) for i in self._contents.metadata)
+        }
 
     @property
     def attachments(self) -> dict[str, int]:
@@ -221,7 +237,9 @@ class LogReader:
     @overload
     def read(self, topics: str, start: int | None = None, end: int | None = None) -> np.ndarray: ...
     @overload
-    def read(self, topics: Sequence[str], start: int | None = None, end: int | None = None) -> dict[str, np.ndarray]: ...
+    def read(
+        self, topics: Sequence[str], start: int | None = None, end: int | None = None
+    ) -> dict[str, np.ndarray]: ...
     def read(
         self, topics: str | Sequence[str], start: int | None = None, end: int | None = None
     ) -> np.ndarray | dict[str, np.ndarray]:
@@ -242,30 +260,50 @@ class LogReader:
         if isinstance(topics, str):
             return self.read([topics], start, end)[topics]
         plans = {topic: self._plan(topic) for topic in topics}
-        return self._guard(lambda: {t: _sorted(parts, self._dtype(plans[t])) for t, parts in self._collect(plans, start, end).items()})
+        return self._guard(
+            lambda: {t: _sorted(parts, self._dtype(plans[t])) for t, parts in self._collect(plans, start, end).items()}
+        )
 
+    @overload
+    def blocks(self, topics: str, start: int | None = None, end: int | None = None) -> Iterator[np.ndarray]: ...
+    @overload
     def blocks(
         self, topics: Sequence[str], start: int | None = None, end: int | None = None
-    ) -> Iterator[dict[str, np.ndarray]]:
+    ) -> Iterator[dict[str, np.ndarray]]: ...
+    def blocks(
+        self, topics: str | Sequence[str], start: int | None = None, end: int | None = None
+    ) -> Iterator[np.ndarray] | Iterator[dict[str, np.ndarray]]:
         """As `read`, portion by portion in memory that does not grow with the file.
 
-        Yields:
-            Arrays by topic, all topics every time and some maybe empty. Log times of a portion are not before those of the one before it.
+        Log times of a portion are not before those of the one before it. With several topics each portion has all of them, some maybe
+        empty.
         """
-        plans = {topic: self._plan(topic) for topic in topics}
+        if isinstance(topics, str):
+            return (block[topics] for block in self._blocks({topics: self._plan(topics)}, start, end))
+        return self._blocks({topic: self._plan(topic) for topic in topics}, start, end)
+
+    def _blocks(
+        self, plans: dict[str, list[int]], start: int | None, end: int | None
+    ) -> Iterator[dict[str, np.ndarray]]:
+        wanted = _numbers(plans)
         pieces = self._chosen(plans, start, end)
         held: dict[str, list[np.ndarray]] = {topic: [] for topic in plans}
+        batch: list[Messages] = []
+        size = 0
         for i, piece in enumerate(pieces):
-            for topic, array in self._guard(lambda p=piece: self._decode(plans, [self._load(p, _numbers(plans))], start, end)).items():
-                held[topic].append(array)
-            # Pieces may overlap: what the next one could still precede has to wait.
-            safe = pieces[i + 1].start if i + 1 < len(pieces) else None
-            ready, waiting = {}, {}
-            for topic, parts in held.items():
-                merged = _sorted(parts, self._dtype(plans[topic]))
-                cut = len(merged) if safe is None else int(np.searchsorted(merged["log_time"], safe, "left"))
-                ready[topic], waiting[topic] = merged[:cut], [merged[cut:]]
-            held = waiting
+            last = i == len(pieces) - 1
+            batch.append(self._guard(lambda p=piece: _extract(self._load(p, wanted))))  # type: ignore[misc]
+            size += batch[-1].data.size
+            if not last and size < _PORTION:
+                continue
+            arrays = self._guard(lambda b=batch: self._decode(plans, b, start, end))  # type: ignore[misc]
+            batch, size = [], 0
+            ready = {}
+            for topic, array in arrays.items():
+                merged = _sorted([*held[topic], array], self._dtype(plans[topic]))
+                # Pieces may overlap: what the next one could still precede has to wait.
+                cut = len(merged) if last else int(np.searchsorted(merged["log_time"], pieces[i + 1].start, "left"))
+                ready[topic], held[topic] = merged[:cut], [merged[cut:]]
             if any(len(array) for array in ready.values()):
                 yield ready
 
@@ -279,7 +317,9 @@ class LogReader:
 
         array = self.read(topic, start, end)
         columns = dict(_flatten(array))
-        return pandas.DataFrame(columns, index=pandas.DatetimeIndex(columns.pop("log_time"), name="log_time"), copy=False)
+        return pandas.DataFrame(
+            columns, index=pandas.DatetimeIndex(columns.pop("log_time"), name="log_time"), copy=False
+        )
 
     # ------------------------------------------------------------------------------------------- choosing
 
@@ -294,7 +334,9 @@ class LogReader:
             schema = self._contents.schemas.get(channel.schema_id)
             if channel.message_encoding != "cdr" or schema is None or schema.encoding != "ros2msg":
                 form = f"'{channel.message_encoding}' with '{schema.encoding if schema else 'no'}' schema"
-                raise InputError(f"{self.path}: topic {topic} is {form}; only ROS 2 messages ('cdr' with 'ros2msg') can be read")
+                raise InputError(
+                    f"{self.path}: topic {topic} is {form}; only ROS 2 messages ('cdr' with 'ros2msg') can be read"
+                )
             kinds.add((schema.name, schema.data))
             if number not in self._definitions:
                 try:
@@ -303,7 +345,9 @@ class LogReader:
                 except CdrError as error:
                     raise InputError(f"{self.path}: topic {topic}: {error}") from None
         if len(kinds) > 1:
-            raise InputError(f"{self.path}: topic {topic} carries messages of different types; it cannot be read as one")
+            raise InputError(
+                f"{self.path}: topic {topic} carries messages of different types; it cannot be read as one"
+            )
         return numbers
 
     def _dtype(self, numbers: list[int]) -> np.dtype[Any]:
@@ -355,13 +399,15 @@ class LogReader:
     def _decode_channel(
         self, number: int, dtype: np.dtype[Any], batch: list[Messages], start: int | None, end: int | None
     ) -> np.ndarray:
-        rows_by_size: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}  # records and their places in the order of the file
+        rows_by_size: dict[
+            int, list[tuple[np.ndarray, np.ndarray]]
+        ] = {}  # records and their places in the order of the file
         total = 0
         for data, by_channel in batch:
             offsets = by_channel.get(number)
             if offsets is None or not len(offsets):
                 continue
-            heads = _heads(data, offsets, number)
+            heads = message_heads(data, offsets, number)
             times = heads["log_time"].astype(np.int64)
             keep = np.ones(len(times), bool)
             if start is not None:
@@ -396,21 +442,13 @@ class LogReader:
             return action()
         except (Damaged, CdrError, McapError, struct.error, UnicodeDecodeError, OverflowError) as error:
             reason = str(error) or type(error).__name__
-            raise InputError(
-                f"{self.path}: damaged: {reason}; 'ahrs-sim recover' saves what is whole"
-            ) from None
+            raise InputError(f"{self.path}: damaged: {reason}; 'ahrs-sim recover' saves what is whole") from None
         except OSError as error:
             raise InputError(f"{self.path}: cannot be read: {error.strerror or error}") from None
 
     def _at(self, offset: int, length: int) -> bytes:
-        if not 0 <= offset <= self._size or not 0 <= length <= min(self._size - offset, MAX_CHUNK + _PIECE):
-            raise Damaged(f"{length} bytes at {offset} lie outside of the file")
         with self._lock:
-            self._stream.seek(offset)
-            data = self._stream.read(length)
-        if len(data) != length:
-            raise Damaged(f"{length} bytes at {offset} lie outside of the file")
-        return data
+            return read_at(self._stream, self._size, offset, length)
 
     def _open(self) -> Contents:
         if self._size == 0:
@@ -419,11 +457,13 @@ class LogReader:
             raise InputError(f"{self.path}: not an MCAP log")
         tail = _FOOTER + len(MAGIC)
         if self._size < 2 * len(MAGIC) + _FOOTER or self._at(self._size - len(MAGIC), len(MAGIC)) != MAGIC:
-            raise InputError(f"{self.path}: unfinished or cut off; save what is there with 'ahrs-sim recover {self.path} -o OUT'")
+            raise InputError(
+                f"{self.path}: unfinished or cut off; save what is there with 'ahrs-sim recover {self.path} -o OUT'"
+            )
         end = self._at(self._size - tail, _FOOTER)
         if RECORD_HEAD.unpack_from(end) != (Opcode.FOOTER, 20):
             raise Damaged("no footer")
-        footer = _parse(Footer.read, end[RECORD_HEAD.size :])
+        footer = parse(Footer.read, end[RECORD_HEAD.size :])
         header = self._header()
         if footer.summary_start:
             contents = self._summary(footer, end, header)
@@ -435,7 +475,7 @@ class LogReader:
         opcode, length = RECORD_HEAD.unpack(self._at(len(MAGIC), RECORD_HEAD.size))
         if opcode != Opcode.HEADER:
             raise Damaged("no header")
-        return _parse(Header.read, self._at(len(MAGIC) + RECORD_HEAD.size, length))
+        return parse(Header.read, self._at(len(MAGIC) + RECORD_HEAD.size, length))
 
     def _summary(self, footer: Footer, end: bytes, header: Header) -> Contents | None:
         """The contents as the summary states them; None when it does not state enough."""
@@ -447,15 +487,15 @@ class LogReader:
         for opcode, offset, length in records(data):
             body = data[offset : offset + length]
             if opcode == Opcode.SCHEMA:
-                schema = _parse(Schema.read, body)
+                schema = parse(Schema.read, body)
                 contents.schemas[schema.id] = schema
             elif opcode == Opcode.CHANNEL:
-                channel = _parse(Channel.read, body)
+                channel = parse(Channel.read, body)
                 contents.channels[channel.id] = channel
             elif opcode == Opcode.STATISTICS:
-                statistics = _parse(Statistics.read, body)
+                statistics = parse(Statistics.read, body)
             elif opcode == Opcode.CHUNK_INDEX:
-                chunk = _parse(ChunkIndex.read, body)
+                chunk = parse(ChunkIndex.read, body)
                 index = chunk.message_index_offsets if chunk.message_index_length else None
                 contents.pieces.append(
                     Piece(
@@ -468,9 +508,9 @@ class LogReader:
                     )
                 )
             elif opcode == Opcode.ATTACHMENT_INDEX:
-                contents.attachments.append(_parse(AttachmentIndex.read, body))
+                contents.attachments.append(parse(AttachmentIndex.read, body))
             elif opcode == Opcode.METADATA_INDEX:
-                contents.metadata.append(_parse(MetadataIndex.read, body))
+                contents.metadata.append(parse(MetadataIndex.read, body))
         if statistics is None:
             return None
         contents.counts = dict(statistics.channel_message_counts)
@@ -511,14 +551,16 @@ class LogReader:
                 contents.pieces.append(Piece(at, whole, 0, 0))
                 run_start, run_messages = at + whole, False
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                _register(contents, opcode, self._at(at + RECORD_HEAD.size, length))
+                register(contents, opcode, self._at(at + RECORD_HEAD.size, length))
             elif opcode == Opcode.METADATA:
-                metadata = _parse(Metadata.read, self._at(at + RECORD_HEAD.size, length))
+                metadata = parse(Metadata.read, self._at(at + RECORD_HEAD.size, length))
                 contents.metadata.append(MetadataIndex(at, whole, metadata.name))
             elif opcode == Opcode.ATTACHMENT:
-                item = _parse(Attachment.read, self._at(at + RECORD_HEAD.size, length))
+                item = parse(Attachment.read, self._at(at + RECORD_HEAD.size, length))
                 contents.attachments.append(
-                    AttachmentIndex(at, whole, item.log_time, item.create_time, len(item.data), item.name, item.media_type)
+                    AttachmentIndex(
+                        at, whole, item.log_time, item.create_time, len(item.data), item.name, item.media_type
+                    )
                 )
             at += whole
             if run_messages and at - run_start > _PIECE:
@@ -532,7 +574,7 @@ class LogReader:
                 if number not in contents.channels:
                     raise Damaged(f"messages of an unknown channel {number}")
                 contents.counts[number] = contents.counts.get(number, 0) + len(offsets)
-                seen = _heads(messages.data, offsets, number)["log_time"].astype(np.int64)
+                seen = message_heads(messages.data, offsets, number)["log_time"].astype(np.int64)
                 times += [int(seen.min()), int(seen.max())]
             piece.start, piece.end = min(times, default=0), max(times, default=0)
         return contents
@@ -559,23 +601,48 @@ class LogReader:
             if not 0 <= at <= len(raw) - 15:
                 raise Damaged(f"the message index of channel {number} lies outside of its chunk's")
             opcode, length, owner, size = struct.unpack_from("<BQHI", raw, at)
-            if opcode != Opcode.MESSAGE_INDEX or owner != number or size != length - 6 or size % 16 or size > len(raw) - at - 15:
+            if (
+                opcode != Opcode.MESSAGE_INDEX
+                or owner != number
+                or size != length - 6
+                or size % 16
+                or size > len(raw) - at - 15
+            ):
                 raise Damaged(f"the message index of channel {number} is wrong")
             entries = np.frombuffer(raw, "<u8", size // 8, at + 15).reshape(-1, 2)
             offsets[number] = entries[:, 1].astype(np.int64)
         return Messages(data, offsets)
 
-    def _indexed(self, index: AttachmentIndex | MetadataIndex, opcode: Opcode, read: Callable[[ReadDataStream], T]) -> T:
+    def _indexed(
+        self, index: AttachmentIndex | MetadataIndex, opcode: Opcode, read: Callable[[ReadDataStream], T]
+    ) -> T:
         def action() -> T:
             data = self._at(index.offset, index.length)
             if len(data) < RECORD_HEAD.size or RECORD_HEAD.unpack_from(data) != (opcode, len(data) - RECORD_HEAD.size):
                 raise Damaged(f"no {opcode.name.lower()} at {index.offset}")
-            return _parse(read, data[RECORD_HEAD.size :])
+            return parse(read, data[RECORD_HEAD.size :])
 
         return self._guard(action)
 
 
 # ----------------------------------------------------------------------------------------------- pieces of files
+
+
+def read_at(stream: IO[bytes], size: int, offset: int, length: int) -> bytes:
+    """Bytes of a file of `size` bytes.
+
+    Raises:
+        Damaged: they are not all inside, or more than anything should have.
+    """
+    if not 0 <= offset <= size or not 0 <= length <= size - offset:
+        raise Damaged(f"{length} bytes at {offset} lie outside of the file")
+    if length > MAX_CHUNK + _PIECE:
+        raise Damaged(f"a record of {length} bytes at {offset} is larger than any should be")
+    stream.seek(offset)
+    data = stream.read(length)
+    if len(data) != length:
+        raise Damaged("the file became shorter while it was read")
+    return data
 
 
 def records(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
@@ -652,7 +719,9 @@ def _lz4(data: memoryview, size: int) -> bytes:
         raise Damaged(f"a chunk cannot be uncompressed ({error})") from None
 
 
-def find_messages(data: bytes | memoryview, wanted: set[int] | None, found: Contents | None = None) -> dict[int, np.ndarray]:
+def find_messages(
+    data: bytes | memoryview, wanted: set[int] | None, found: Contents | None = None
+) -> dict[int, np.ndarray]:
     """Offsets of the messages in a run of records, by channel; schemas and channels met go into `found`."""
     offsets: dict[int, list[int]] = {}
     channel_of = struct.Struct("<H").unpack_from
@@ -664,20 +733,21 @@ def find_messages(data: bytes | memoryview, wanted: set[int] | None, found: Cont
             if wanted is None or channel in wanted:
                 offsets.setdefault(channel, []).append(at - RECORD_HEAD.size)
         elif found is not None and opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            _register(found, opcode, bytes(data[at : at + length]))
+            register(found, opcode, bytes(data[at : at + length]))
     return {channel: np.array(places, np.int64) for channel, places in offsets.items()}
 
 
-def _register(contents: Contents, opcode: int, body: bytes) -> None:
+def register(contents: Contents, opcode: int, body: bytes) -> None:
+    """Note a schema or a channel."""
     if opcode == Opcode.SCHEMA:
-        schema = _parse(Schema.read, body)
+        schema = parse(Schema.read, body)
         contents.schemas.setdefault(schema.id, schema)
     else:
-        channel = _parse(Channel.read, body)
+        channel = parse(Channel.read, body)
         contents.channels.setdefault(channel.id, channel)
 
 
-def _parse(read: Callable[[ReadDataStream], T], body: bytes) -> T:
+def parse(read: Callable[[ReadDataStream], T], body: bytes) -> T:
     """A record from its content."""
     return read(ReadDataStream(BytesIO(body)))
 
@@ -701,7 +771,7 @@ def _rows(data: np.ndarray, offsets: np.ndarray, size: int) -> np.ndarray:
     return np.lib.stride_tricks.as_strided(data, (data.size - size + 1, size), (1, 1))[offsets]
 
 
-def _heads(data: np.ndarray, offsets: np.ndarray, channel: int) -> np.ndarray:
+def message_heads(data: np.ndarray, offsets: np.ndarray, channel: int) -> np.ndarray:
     """Heads of the messages at `offsets`, checked to be that and to lie inside."""
     last = data.size - MESSAGE_HEAD.size
     if offsets.min() < 0 or offsets.max() > last:
@@ -723,7 +793,7 @@ def _extract(messages: Messages) -> Messages:
     for channel, places in messages.offsets.items():
         if not len(places):
             continue
-        sizes = _heads(messages.data, places, channel)["length"].astype(np.int64) + RECORD_HEAD.size
+        sizes = message_heads(messages.data, places, channel)["length"].astype(np.int64) + RECORD_HEAD.size
         if (sizes == sizes[0]).all():
             part = _rows(messages.data, places, int(sizes[0])).ravel()
         else:

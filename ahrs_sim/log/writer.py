@@ -35,7 +35,14 @@ SUFFIX = ".part"
 """Appended to the name of a log that is not finished yet."""
 
 _RECORD = np.dtype(
-    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")]
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<u8"),
+        ("publish_time", "<u8"),
+    ]
 )
 _HEAD = _RECORD.itemsize
 _END_OF_TIME = np.iinfo(np.int64).max
@@ -61,7 +68,9 @@ class LogChannel:
         try:
             return self.places[path]
         except KeyError:
-            raise ValueError(f"{self.topic}: {self.type_name} has no field '{path}' to set; it has {', '.join(self.places)}") from None
+            raise ValueError(
+                f"{self.topic}: {self.type_name} has no field '{path}' to set; it has {', '.join(self.places)}"
+            ) from None
 
 
 def _record_head(channel: int, payload: int) -> bytes:
@@ -76,7 +85,7 @@ class LogWriter:
 
     Args:
         path: name of the finished log.
-        epoch_ns: ns since 1970; the time of the attachments.
+        epoch_ns: ns since 1970, kept in the metadata record `log`; the time of the attachments.
         chunk_s: length of a chunk in log time; what a crash can cost.
         force: overwrite a finished or an unfinished log of that name.
 
@@ -92,7 +101,7 @@ class LogWriter:
         self._force = force
         self._channels: list[LogChannel] = []
         self._schemas: dict[str, int] = {}
-        self._metadata: dict[str, dict[str, str]] = {}
+        self._metadata: dict[str, dict[str, str]] = {"log": {"epoch_ns": str(epoch_ns)}}
         self._attachments: list[Attachment] = []
         self._written_ns = -1  # everything before is on its way to the file
         self._error: BaseException | None = None
@@ -109,11 +118,15 @@ class LogWriter:
                 self.part.unlink(missing_ok=True)
             self._stream = self.part.open("xb")
         except OSError as error:
-            raise InputError(f"{self.part}: cannot be created: {error.strerror or error}; choose another place") from None
+            raise InputError(
+                f"{self.part}: cannot be created: {error.strerror or error}; choose another place"
+            ) from None
 
     # ------------------------------------------------------------------------------------------- before start
 
-    def add_channel(self, topic: str, type_name: str, *, constant: Mapping[str, Any] | None = None, **shorthand: str) -> LogChannel:
+    def add_channel(
+        self, topic: str, type_name: str, *, constant: Mapping[str, Any] | None = None, **shorthand: str
+    ) -> LogChannel:
         """A new topic.
 
         Args:
@@ -228,7 +241,9 @@ class LogWriter:
             raise ValueError(f"{channel.topic}: the log is not open for messages; call start() first")
         n = len(rows)
         if log_time_ns.min() < max(self._written_ns, 0):
-            raise ValueError(f"{channel.topic}: a message at {log_time_ns.min()} ns comes after advance({self._written_ns})")
+            raise ValueError(
+                f"{channel.topic}: a message at {log_time_ns.min()} ns comes after advance({self._written_ns})"
+            )
         head = _records(rows)
         head["sequence"] = np.arange(channel.count, channel.count + n)
         head["log_time"] = log_time_ns
@@ -388,7 +403,9 @@ class LogWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         if kind is None:
             self.close()
         else:
@@ -398,4 +415,3 @@ class LogWriter:
 def _records(rows: np.ndarray) -> np.ndarray:
     """The heads of message records (n, size) uint8 as a structured view (n,)."""
     return np.ndarray((len(rows),), _RECORD, buffer=rows, strides=(rows.strides[0],))
-

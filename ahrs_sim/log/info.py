@@ -1,0 +1,75 @@
+"""What is in a log: any MCAP file, ours or not."""
+
+import datetime
+from pathlib import Path
+from typing import Any
+
+from ahrs_sim.log.reader import LogReader
+
+
+def summary(path: str | Path) -> dict[str, Any]:
+    """The contents of a log, fit for JSON: times in ns since 1970, rates in Hz, the size in bytes.
+
+    Raises:
+        InputError: the file is not a log, or not a whole one.
+    """
+    with LogReader(path) as log:
+        first, last = log.time_range_ns
+        duration = (last - first) / 1e9
+        topics = [
+            {
+                "topic": t.topic,
+                "type": t.type_name,
+                "encoding": t.encoding,
+                "messages": t.count,
+                "rate_hz": round((t.count - 1) / duration, 3) if t.count > 1 and duration > 0 else None,
+            }
+            for t in log.topics.values()
+        ]
+        return {
+            "path": str(path),
+            "size": log.size,
+            "profile": log.profile,
+            "library": log.library,
+            "start_ns": first,
+            "end_ns": last,
+            "duration_s": duration,
+            "messages": log.message_count,
+            "topics": topics,
+            "metadata": log.metadata,
+            "attachments": log.attachments,
+        }
+
+
+def text(path: str | Path) -> str:
+    """The same for a person.
+
+    Raises:
+        InputError: the file is not a log, or not a whole one.
+    """
+    s = summary(path)
+    start = datetime.datetime.fromtimestamp(s["start_ns"] // 10**9, datetime.UTC)
+    lines = [
+        f"{s['path']}: {s['size'] / 1e6:.1f} MB, profile {s['profile'] or '-'}, written by {s['library'] or '-'}",
+        f"{start:%Y-%m-%d %H:%M:%S} UTC, {s['duration_s']:.3f} s, {s['messages']} messages",
+        "",
+    ]
+    rows = [("topic", "type", "messages", "Hz")]
+    for t in s["topics"]:
+        rate = "" if t["rate_hz"] is None else f"{t['rate_hz']:.1f}"
+        rows.append((t["topic"], t["type"] or f"({t['encoding']})", str(t["messages"]), rate))
+    width = [max(len(row[i]) for row in rows) for i in range(4)]
+    lines += [
+        f"{topic:{width[0]}}  {kind:{width[1]}}  {count:>{width[2]}}  {rate:>{width[3]}}".rstrip()
+        for topic, kind, count, rate in rows
+    ]
+    for name, values in s["metadata"].items():
+        lines += ["", f"{name}:", *(f"  {key} = {_one_line(value)}" for key, value in values.items())]
+    if s["attachments"]:
+        lines += ["", "attachments:", *(f"  {name}, {size} bytes" for name, size in s["attachments"].items())]
+    return "\n".join(lines)
+
+
+def _one_line(value: str) -> str:
+    line = " ".join(value.split())
+    return line if len(line) <= 100 else line[:97] + "..."
