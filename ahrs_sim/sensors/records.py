@@ -28,6 +28,14 @@ class ImuRecord(Record):
 
 
 @dataclass(frozen=True, slots=True)
+class ImuErrorsRecord(Record):
+    """Not sent by any instrument: the true bias in each `ImuRecord` (turn-on, in-run and temperature), for reports."""
+
+    gyro_bias: np.ndarray = column(3)  # (n, 3) rad/s
+    accel_bias: np.ndarray = column(3)  # (n, 3) m/s2
+
+
+@dataclass(frozen=True, slots=True)
 class MagRecord(Record):
     mag_b: np.ndarray = column(3)  # (n, 3) T
     saturated: np.ndarray = column(dtype=bool)
@@ -78,4 +86,4 @@ class PhaseRecord(Record):
 
 
 SuiteBlock = dict[str, Record]
-"""One block of a suite: records by instrument: imu, mag, fix, velocity, heading, diff_pressure, static_pressure, air, interferometer."""
+"""One block of a suite: records by instrument: imu, imu_errors, mag, fix, velocity, heading, diff_pressure, static_pressure, air, interferometer."""

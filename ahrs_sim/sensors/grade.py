@@ -1,0 +1,225 @@
+"""Grades: the figures of a kind of instrument, each with unit, source and a mark that says how far to trust it.
+
+A grade is a TOML file in `grades/`:
+
+    title = "CH Robotics CHR-6dm"
+    extends = "other"                                # optional: what is not said here is as there
+
+    [gyro]
+    noise_density_dps_rthz = {value = 0.03, source = "GP9 data sheet", mark = "quoted"}
+
+The unit is the end of the key, one of those of the figure's kind (`dps_rthz` or `dph_rthz`: the same figure). A vector
+has one number per axis; one number stands for all axes. A scenario overrides figures in dotted tables of the suite,
+where a bare number will do: `gyro.noise_density_dps_rthz = 0.05`. What nobody states is zero, that is, absent.
+"""
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ahrs_sim.errors import InputError, nearest
+from ahrs_sim.table import read_toml
+
+STANDARD_GRAVITY = 9.80665  # m/s2 per g
+
+MARKS = ("quoted", "firmware", "computed", "inferred", "chosen")
+"""From the maker's paper, from its code, by calculation, by reasoning; `chosen`: how this unit is set up or installed."""
+
+_DEG = math.pi / 180.0
+UNITS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3},
+    "frequency": {"hz": 1.0},
+    "angle": {"deg": _DEG},
+    "fraction": {"percent": 1e-2},
+    "length": {"m": 1.0, "mm": 1e-3},
+    "speed": {"mps": 1.0},
+    "pressure": {"pa": 1.0, "hpa": 100.0},
+    "temperature": {"k": 1.0},
+    "revolutions": {"rpm": 1.0},
+    "rate": {"dps": _DEG, "dph": _DEG / 3600.0},
+    "acceleration": {"mg": STANDARD_GRAVITY * 1e-3, "g": STANDARD_GRAVITY, "mps2": 1.0},
+    "field": {"mgauss": 1e-7, "gauss": 1e-4, "ut": 1e-6, "nt": 1e-9},
+    "number": {"": 1.0},
+    "per_hour": {"per_h": 1.0 / 3600.0},
+}
+_PER = {"rthz": 1.0, "rts": 1.0, "per_k": 1.0, "per_g": 1.0 / STANDARD_GRAVITY, "per_g2": 1.0 / STANDARD_GRAVITY**2}
+
+Layer = dict[str, dict[str, "Entry"]]
+FiguresT = TypeVar("FiguresT")
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One stated figure."""
+
+    key: str  # as written, with its unit
+    value: float | tuple[float, ...]  # as written
+    factor: float  # to SI
+    source: str
+    mark: str
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A table of a grade: the dataclass of its figures and the quantity that `*` in their kinds stands for."""
+
+    figures: type
+    quantity: str = "number"
+
+
+def figure(kind: str, default: float | tuple[float, ...] = 0.0, *, size: int = 0, minimum: float = -math.inf) -> Any:
+    """A field of a dataclass of figures: its kind (`"rate"`, `"*_rthz"`), default in SI, size (0: one number)."""
+    return dataclasses.field(metadata={"kind": kind, "default": default, "size": size, "minimum": minimum})
+
+
+def _units(kind: str, quantity: str) -> dict[str, float]:
+    """Unit suffixes of a kind and their factors to SI: `*_rthz` for a rate gives dps_rthz and dph_rthz."""
+    if kind in UNITS:
+        return UNITS[kind]
+    base, _, per = kind.partition("_")
+    return {f"{u}_{per}": f * _PER[per] for u, f in UNITS[quantity if base == "*" else base].items()}
+
+
+def _keys(section: Section) -> dict[str, tuple[str, float]]:
+    """Every key that a table may hold, with the field it sets and its factor to SI."""
+    keys = {}
+    for f in dataclasses.fields(section.figures):
+        kind = f.metadata["kind"]
+        for unit, factor in _units(section.quantity if kind == "*" else kind, section.quantity).items():
+            keys[f"{f.name}_{unit}" if unit else f.name] = (f.name, factor)
+    return keys
+
+
+def _entry(key: str, stated: Any, factor: float, where: str, default_source: str | None) -> Entry:
+    source, mark = default_source, "chosen"
+    value = stated
+    if isinstance(stated, dict):
+        for name in stated:
+            if name not in ("value", "source", "mark"):
+                raise InputError(f"{where}: {key}: unknown key '{name}'{nearest(name, ('value', 'source', 'mark'))}")
+        if "value" not in stated:
+            raise InputError(f"{where}: {key}: value is missing; write {key} = {{value = ...}}")
+        value, source, mark = stated["value"], stated.get("source", default_source), stated.get("mark", mark)
+    if source is None or not isinstance(source, str) or mark not in MARKS:
+        raise InputError(f"{where}: {key}: a figure of a grade needs a source and a mark ({', '.join(MARKS)})")
+    numbers = list(value) if isinstance(value, (list, tuple)) else [value]
+    if not numbers or not all(isinstance(x, (int, float)) and math.isfinite(x) for x in numbers):
+        raise InputError(f"{where}: {key}: {value!r} is neither a finite number nor a list of such; correct it")
+    written = tuple(float(x) for x in value) if isinstance(value, (list, tuple)) else float(value)
+    return Entry(key, written, factor, source, mark)
+
+
+def parse(
+    tables: Mapping[str, Any], sections: Mapping[str, Section], where: str, source: str | None = None
+) -> Layer:
+    """Check the tables of a grade or of overrides.
+
+    Args:
+        tables: by section, as TOML gives them.
+        sections: those there are.
+        where: for messages.
+        source: stands for a missing source; None when a source must be given.
+
+    Raises:
+        InputError: an unknown section, key or unit, a value that is no number, a figure without source.
+    """
+    layer: Layer = {}
+    for name, table in tables.items():
+        if name not in sections:
+            raise InputError(f"{where}: {name}: unknown key{nearest(name, sections)}")
+        if not isinstance(table, dict):
+            raise InputError(f"{where}: {name}: is not a table; write [{name}]")
+        keys = _keys(sections[name])
+        found: dict[str, Entry] = {}
+        for key, stated in table.items():
+            if key not in keys:
+                raise InputError(f"{where}: [{name}] {key}: unknown key{nearest(key, keys)}")
+            field, factor = keys[key]
+            if field in found:
+                raise InputError(f"{where}: [{name}] {key}: stated already as {found[field].key}; keep one")
+            found[field] = _entry(key, stated, factor, f"{where}: [{name}]", source)
+        layer[name] = found
+    return layer
+
+
+@dataclass(frozen=True)
+class Grade:
+    """The effective figures of one suite: grade, what it extends, and overrides."""
+
+    name: str
+    title: str
+    layer: Layer
+    sections: Mapping[str, Section]
+    where: str
+
+    def __contains__(self, section: str) -> bool:
+        return section in self.layer
+
+    def figures(self, section: str, cls: type[FiguresT]) -> FiguresT:
+        """The figures of a section in SI: floats, and arrays (size,) where the field says so.
+
+        Raises:
+            InputError: a list of the wrong length, a number below its minimum.
+        """
+        stated = self.layer.get(section, {})
+        values: dict[str, Any] = {}
+        for f in dataclasses.fields(cls):  # type: ignore[arg-type]
+            size, entry = f.metadata["size"], stated.get(f.name)
+            value: Any = f.metadata["default"] if entry is None else np.multiply(entry.value, entry.factor)
+            if entry is not None:
+                if np.shape(value) not in ((), (size,)) or (np.ndim(value) and not size):
+                    need = f"one number or {size}" if size else "one number"
+                    raise InputError(f"{self.where}: [{section}] {entry.key}: {entry.value!r}: give {need}")
+                if np.min(value) < f.metadata["minimum"]:
+                    low = f.metadata["minimum"] / entry.factor
+                    raise InputError(f"{self.where}: [{section}] {entry.key}: {entry.value!r}: must be >= {low:g}")
+            values[f.name] = np.broadcast_to(np.asarray(value, float), (size,)).copy() if size else float(value)
+        return cls(**values)
+
+    def rows(self) -> Iterator[tuple[str, Entry]]:
+        """Every stated figure with its section, in the order of the sections."""
+        for section in self.sections:
+            for entry in self.layer.get(section, {}).values():
+                yield section, entry
+
+
+def names() -> list[str]:
+    """The grades that come with the package."""
+    folder = resources.files("ahrs_sim.sensors") / "grades"
+    return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
+
+
+def _read(name: str, sections: Mapping[str, Section], where: str, chain: tuple[str, ...] = ()) -> tuple[str, Layer]:
+    """Title and figures of a grade file, those it extends below."""
+    if name not in names():
+        raise InputError(f"{where}: grade: '{name}' is unknown{nearest(name, names())}")
+    if name in chain:
+        raise InputError(f"{where}: extends: {' -> '.join((*chain, name))} goes in a circle; remove one")
+    path = Path(str(resources.files("ahrs_sim.sensors") / "grades" / f"{name}.toml"))
+    table = read_toml(path)
+    title, base = table.text("title"), table.text("extends", None)
+    own = parse(table.rest(), sections, path.name)
+    below = _read(base, sections, path.name, (*chain, name))[1] if base else {}
+    return title, _over(below, own)
+
+
+def _over(below: Layer, above: Layer) -> Layer:
+    return {s: {**below.get(s, {}), **above.get(s, {})} for s in (*below, *(s for s in above if s not in below))}
+
+
+def load(
+    name: str, sections: Mapping[str, Section], overrides: Mapping[str, Any] | None = None, where: str = "grade"
+) -> Grade:
+    """A grade by name with the scenario's overrides on top.
+
+    Raises:
+        InputError: an unknown grade, or anything wrong in it or in the overrides.
+    """
+    title, layer = _read(name, sections, where)
+    return Grade(name, title, _over(layer, parse(overrides or {}, sections, where, "scenario")), sections, where)

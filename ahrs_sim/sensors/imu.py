@@ -1,0 +1,127 @@
+"""Gyro and accelerometer, sent together.
+
+The accelerometer feels f = f_cg + w' x r + w x (w x r), r from the centre of gravity, which moves, to the unit. The chip
+warms up from switch-on towards the air's temperature plus its own heat.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ahrs_sim.flight.truth import Truth
+from ahrs_sim.jit import njit
+from ahrs_sim.sensors.faults import Faults
+from ahrs_sim.sensors.grade import Grade, figure
+from ahrs_sim.sensors.outbox import Outbox
+from ahrs_sim.sensors.records import ImuErrorsRecord, ImuRecord, Record
+from ahrs_sim.sensors.signal import Clock, Lag, divider, nanoseconds
+from ahrs_sim.sensors.triad import GyroFigures, InertialFigures, Triad
+from ahrs_sim.sensors.vibration import MotorFigures, Vibration
+
+
+@dataclass(frozen=True)
+class ImuFigures:
+    """The unit around gyro and accelerometer."""
+
+    rate: float = figure("frequency", 100.0, minimum=0.1)
+    jitter: float = figure("time", minimum=0.0)  # samples taken |N(0, jitter)| ahead of their slot, stamped truly
+    stamp_jitter: float = figure("time", minimum=0.0)  # 1 sigma error of the stamps
+    warm_up: float = figure("temperature")  # own heat above the air's temperature, once settled
+    warm_up_time: float = figure("time", minimum=0.0)  # time constant
+
+
+class Imu:
+    """The inertial unit of a suite: gives records `imu` and `imu_errors` (the true biases, for reports)."""
+
+    records = ("imu", "imu_errors")
+
+    def __init__(
+        self, grade: Grade, stream: Callable[..., np.random.Generator], faults: Faults, *, dt: float,
+        position: np.ndarray | None, mount: np.ndarray, turned: np.ndarray, where: str,
+    ) -> None:  # fmt: skip
+        f = self.figures = grade.figures("imu", ImuFigures)
+        every = divider(f.rate, dt, where)
+        self.period = every * dt
+        self.position = position  # m, FRD from the aircraft's reference; None: where the CG is at first
+        self._clock = Clock(every)
+        # What a sample can be early is bounded so that the delay line is: beyond 5 sigma nothing was lost.
+        self._earliest = min(5.0 * f.jitter, 0.9 * self.period)
+        common = {"dt": dt, "every": every, "mount": mount, "turned": turned, "longest": self._earliest}
+        motor = grade.figures("motor", MotorFigures)
+        self.gyro = self._triad(grade.figures("gyro", GyroFigures), "gyro", stream, faults, common)
+        self.accel = self._triad(grade.figures("accelerometer", InertialFigures), "accelerometer", stream, faults, common)
+        self._shakes = [
+            Vibration(motor, figures.vibration_line, figures.vibration_band, triad.band.cutoff, dt, every,
+                      stream(name, "vibration"))
+            for triad, figures, name in (
+                (self.gyro, grade.figures("gyro", GyroFigures), "gyro"),
+                (self.accel, grade.figures("accelerometer", InertialFigures), "accelerometer"),
+            )
+        ]  # fmt: skip
+        self._clock_noise = stream("imu", "clock")
+        self._heat = Lag(f.warm_up_time, self.period)
+        self._cold: float | None = None  # K, at switch-on
+        self._outbox = Outbox(ImuRecord, faults.channel("gyro"), 0.0)
+        self._errors = Outbox(ImuErrorsRecord, faults.channel("gyro"), 0.0)
+
+    @staticmethod
+    def _triad(
+        figures: InertialFigures, name: str, stream: Callable[..., np.random.Generator], faults: Faults, common: dict
+    ) -> Triad:
+        return Triad(figures, lambda part: stream(name, part), faults.channel(name), **common)
+
+    def process(self, truth: Truth) -> dict[str, Record]:
+        """Records that arrive within the block."""
+        n = len(truth)
+        if self.position is None and n:
+            self.position = truth.cg_b[0].copy()
+        rows = self._clock.rows(n)
+        slot = truth.t[rows]
+        m = len(slot)
+        extra = np.zeros(m)
+        stamp = slot
+        if self._earliest > 0.0 or self.figures.stamp_jitter > 0.0:
+            draws = self._clock_noise.standard_normal((m, 2))
+            extra = np.minimum(np.abs(draws[:, 0]) * self.figures.jitter, self._earliest)
+            stamp = slot - extra + draws[:, 1] * self.figures.stamp_jitter
+        force_b = np.empty((n, 3))
+        if n:
+            _force_at(truth.accel_b, truth.rate_ib_b, truth.rate_dot_b, truth.cg_b, self.position, force_b)
+        temperature, warmth = self._temperature(truth.temperature[rows])
+        gyro_shake, _ = self._shakes[0].process(truth.rpm, rows, m)
+        accel_shake, rms2 = self._shakes[1].process(truth.rpm, rows, m)
+        accel, clipped, accel_bias, force = self.accel.process(
+            force_b, rows, slot, extra, accel_shake, None, rms2, warmth
+        )
+        gyro, over, gyro_bias, _ = self.gyro.process(
+            truth.rate_ib_b, rows, slot, extra, gyro_shake, force, rms2, warmth
+        )
+        now = truth.t[-1] if n else 0.0
+        stamp_ns, arrival_ns = nanoseconds(stamp), nanoseconds(slot)
+        values = ImuRecord(stamp_ns, arrival_ns, gyro, accel, clipped | over, temperature)
+        errors = ImuErrorsRecord(stamp_ns, arrival_ns, gyro_bias, accel_bias)
+        return {"imu": self._outbox.post(values, slot, now), "imu_errors": self._errors.post(errors, slot, now)}
+
+    def _temperature(self, air: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Temperature (m,), K, of the chip, and above that at switch-on, when it was as cold as the air."""
+        if self._cold is None and len(air):
+            self._cold = float(air[0])
+            self._heat.process(air[:1])
+        warm = self._heat.process(air + self.figures.warm_up)
+        return warm, warm - (self._cold or 0.0)
+
+
+@njit
+def _force_at(
+    force: np.ndarray, rate: np.ndarray, rate_dot: np.ndarray, cg: np.ndarray, place: np.ndarray, out: np.ndarray
+) -> None:
+    """F + w' x r + w x (w x r), r = place - cg; all (n, 3), body axes."""
+    for i in range(out.shape[0]):
+        x, y, z = place[0] - cg[i, 0], place[1] - cg[i, 1], place[2] - cg[i, 2]
+        p, q, r = rate[i, 0], rate[i, 1], rate[i, 2]
+        dp, dq, dr = rate_dot[i, 0], rate_dot[i, 1], rate_dot[i, 2]
+        u, v, w = q * z - r * y, r * x - p * z, p * y - q * x
+        out[i, 0] = force[i, 0] + (dq * z - dr * y) + (q * w - r * v)
+        out[i, 1] = force[i, 1] + (dr * x - dp * z) + (r * u - p * w)
+        out[i, 2] = force[i, 2] + (dp * y - dq * x) + (p * v - q * u)

@@ -1,0 +1,95 @@
+"""Magnetometer: the Earth's field as it really is, what the aircraft adds to it, and the errors of a triad.
+
+The real field differs from the World Magnetic Model by its stated uncertainty, one draw a flight for all suites; filters
+know the model. Soft iron is the triad's matrix, hard iron its turn-on bias (what calibration left of both). The current
+of the motor adds a field that grows with the throttle.
+"""
+
+import datetime
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ahrs_sim.flight.truth import Truth
+from ahrs_sim.jit import njit
+from ahrs_sim.sensors.faults import Faults
+from ahrs_sim.sensors.grade import Grade, figure
+from ahrs_sim.sensors.outbox import Outbox
+from ahrs_sim.sensors.records import MagRecord, Record
+from ahrs_sim.sensors.signal import Clock, divider, nanoseconds
+from ahrs_sim.sensors.triad import Triad, TriadFigures
+from ahrs_sim.world import magnetic
+
+
+@dataclass(frozen=True)
+class MagFigures(TriadFigures):
+    """A magnetometer; `turn_on_bias` is the hard iron left over."""
+
+    rate: float = figure("frequency", 100.0, minimum=0.1)
+    soft_iron: float = figure("fraction", minimum=0.0)  # 1 sigma of each term of the symmetric matrix
+    motor_field: np.ndarray = figure("field", size=3, minimum=0.0)  # 1 sigma at full throttle
+    model_error: np.ndarray = figure("field", size=3, minimum=0.0)  # 1 sigma of the real field from the model, NED
+
+
+class Magnetometer:
+    """The magnetometer of a suite: gives records `mag`."""
+
+    records = ("mag",)
+
+    def __init__(
+        self, grade: Grade, stream: Callable[..., np.random.Generator], faults: Faults, *, dt: float,
+        mount: np.ndarray, turned: np.ndarray, epoch: datetime.datetime, world: np.random.Generator, where: str,
+    ) -> None:  # fmt: skip
+        f = self.figures = grade.figures("magnetometer", MagFigures)
+        every = divider(f.rate, dt, where)
+        self.period = every * dt
+        self._clock = Clock(every)
+        self._faults = faults
+        self._epoch = epoch
+        self.triad = Triad(
+            f, lambda part: stream("magnetometer", part), faults.channel("magnetometer"),
+            dt=dt, every=every, mount=mount, turned=turned,
+        )  # fmt: skip
+        rng = stream("magnetometer", "aircraft")
+        self.motor_field = rng.standard_normal(3) * f.motor_field
+        iron = rng.standard_normal((3, 3)) * f.soft_iron
+        self.triad.matrix[:] = (np.eye(3) + 0.5 * (iron + iron.T)) @ self.triad.matrix
+        self.model_error = world.standard_normal(3) * f.model_error
+        self._outbox = Outbox(MagRecord, faults.channel("magnetometer"), 0.0)
+
+    def process(self, truth: Truth) -> dict[str, Record]:
+        """Records that arrive within the block."""
+        n = len(truth)
+        rows = self._clock.rows(n)
+        t = truth.t[rows]
+        field_b = np.empty((n, 3))
+        if n:
+            field_n = magnetic.field_n(truth.lla, self._epoch) + self.model_error
+            if self._faults.fields:
+                field_n += self._faults.field_n(truth.t)
+            _field_in_body(field_n, truth.q_nb, truth.throttle, self.motor_field, field_b)
+        values, saturated, _, _ = self.triad.process(field_b, rows, t, np.zeros(len(t)))
+        ns = nanoseconds(t)
+        sent = self._outbox.post(MagRecord(ns, ns, values, saturated), t, truth.t[-1] if n else 0.0)
+        return {"mag": sent}
+
+
+@njit
+def _field_in_body(
+    field_n: np.ndarray, q_nb: np.ndarray, throttle: np.ndarray, motor: np.ndarray, out: np.ndarray
+) -> None:
+    """C_bn(q) B + motor field x throttle, rows (n, 3)."""
+    for i in range(out.shape[0]):
+        a, b, c, d = q_nb[i, 0], q_nb[i, 1], q_nb[i, 2], q_nb[i, 3]
+        x, y, z = field_n[i, 0], field_n[i, 1], field_n[i, 2]
+        k = throttle[i] if throttle[i] == throttle[i] else 0.0
+        out[i, 0] = (
+            (a * a + b * b - c * c - d * d) * x + 2.0 * (b * c + a * d) * y + 2.0 * (b * d - a * c) * z + k * motor[0]
+        )
+        out[i, 1] = (
+            2.0 * (b * c - a * d) * x + (a * a - b * b + c * c - d * d) * y + 2.0 * (c * d + a * b) * z + k * motor[1]
+        )
+        out[i, 2] = (
+            2.0 * (b * d + a * c) * x + 2.0 * (c * d - a * b) * y + (a * a - b * b - c * c + d * d) * z + k * motor[2]
+        )

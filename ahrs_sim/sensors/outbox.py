@@ -1,0 +1,53 @@
+"""The line between an instrument and whoever listens: a message arrives some time after its stamp, in order."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from ahrs_sim.sensors.faults import Channel
+from ahrs_sim.sensors.records import Record
+from estimators.types import blank
+
+
+class Outbox:
+    """Holds messages until they arrive, so that a block holds what is there by its end, however long it is.
+
+    Args:
+        cls: type of the records.
+        channel: its `dropout` and `delay` faults.
+        latency: s from slot to arrival.
+    """
+
+    def __init__(self, cls: type[Record], channel: Channel, latency: float) -> None:
+        self._empty = cls(**blank(cls, 0))
+        self._channel = channel
+        self._latency_ns = round(latency * 1e9)
+        self._waiting: Any = self._empty
+        self._last = np.iinfo(np.int64).min  # ns, latest arrival so far
+
+    def post(self, records: Any, t: np.ndarray, now: float) -> Any:
+        """Send `records` of the slots at `t` (m,) s, whose `arrival_ns` is their slot; what has arrived by `now` (s)."""
+        touched = self._channel.deliver(t) if self._channel.message else None
+        if touched is None and not self._latency_ns:
+            if not len(self._waiting):
+                if len(records):
+                    self._last = max(self._last, int(records.arrival_ns[-1]))
+                return records
+        if len(records):
+            arrival = records.arrival_ns + self._latency_ns
+            keep = np.ones(len(records), bool)
+            if touched is not None:
+                keep = touched[0]
+                arrival = arrival + np.rint(touched[1] * 1e9).astype(np.int64)
+            # A serial line: nothing overtakes.
+            arrival = np.maximum.accumulate(np.maximum(arrival[keep], self._last))
+            if len(arrival):
+                self._last = int(arrival[-1])
+                kept = dataclasses.replace(records[keep], arrival_ns=arrival)
+                self._waiting = type(records).concatenate([self._waiting, kept]) if len(self._waiting) else kept
+        if not len(self._waiting):
+            return self._empty
+        there = int(np.searchsorted(self._waiting.arrival_ns, round(now * 1e9), side="right"))
+        arrived, self._waiting = self._waiting[:there], self._waiting[there:]
+        return arrived

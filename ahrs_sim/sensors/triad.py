@@ -1,0 +1,172 @@
+"""Three axes of one kind: the errors that gyro, accelerometer and magnetometer share, in this order.
+
+    u  = band limit and delay (true quantity), in the sensor's axes
+    y  = (I + S + M) u + k u^2 / range + G f + v a^2 + bias + white noise + vibration + fault
+    bias = turn-on + in-run (flicker, random walk) + temperature
+    sent = quantise(clip(y)), turned back into body axes by the mounting that the unit knows
+
+S scale factors, M misalignment and cross-axis sensitivity, k non-linearity, G g-sensitivity, v vibration rectification
+with a the vibration's rms acceleration. S, M, k, G, v and the turn-on bias are drawn once a flight.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ahrs_sim.jit import njit
+from ahrs_sim.sensors.errors import White, in_run_bias, white_sigma
+from ahrs_sim.sensors.faults import Channel
+from ahrs_sim.sensors.grade import figure
+from ahrs_sim.sensors.signal import BandLimit
+
+
+@dataclass(frozen=True)
+class TriadFigures:
+    """What all triads have; 1 sigma where a value is drawn. `*` is the quantity that the sensor measures."""
+
+    range: np.ndarray = figure("*", math.inf, size=3, minimum=0.0)
+    quantum: float = figure("*", minimum=0.0)
+    noise_density: np.ndarray = figure("*_rthz", size=3, minimum=0.0)  # single-sided
+    turn_on_bias: np.ndarray = figure("*", size=3, minimum=0.0)
+    bias_floor: np.ndarray = figure("*", size=3, minimum=0.0)  # minimum of the Allan deviation: 0.664 B
+    rate_random_walk: np.ndarray = figure("*_rts", size=3, minimum=0.0)
+    temperature_drift: np.ndarray = figure("*_per_k", size=3, minimum=0.0)
+    scale: np.ndarray = figure("fraction", size=3, minimum=0.0)
+    misalignment: float = figure("angle", minimum=0.0)  # of an axis, about each of the two others
+    cross_axis: float = figure("fraction", minimum=0.0)
+    non_linearity: float = figure("fraction", minimum=0.0)  # of the range, at the range
+    bandwidth: float = figure("frequency", minimum=0.0)  # -3 dB; 0: none
+    antialias: float = figure("fraction", minimum=0.0)  # low-pass ahead of decimation, in parts of the output rate
+    delay: float = figure("time", minimum=0.0)  # value at stamp t was true at t - delay, filters included
+
+
+@dataclass(frozen=True)
+class InertialFigures(TriadFigures):
+    """What gyro and accelerometer have besides."""
+
+    vibration_rectification: np.ndarray = figure("*_per_g2", size=3, minimum=0.0)
+    vibration_line: np.ndarray = figure("*", size=3, minimum=0.0)  # amplitude at the shaft's rate and reference speed
+    vibration_band: np.ndarray = figure("*", size=3, minimum=0.0)  # rms of a sample at the reference speed
+
+
+@dataclass(frozen=True)
+class GyroFigures(InertialFigures):
+    """A gyro."""
+
+    g_sensitivity: float = figure("rate_per_g", minimum=0.0)
+
+
+class Triad:
+    """One three-axis sensor of a suite.
+
+    Args:
+        figures: of its grade.
+        stream: gives the generator of a name below this sensor's.
+        channel: its faults.
+        dt: s between rows of the truth.
+        every: rows per sample.
+        mount: C_sb (3, 3), body to sensor axes, known to the unit.
+        turned: C (3, 3) from the axes it believes in to those it really has; identity when mounted true.
+        longest: s of additional delay that a sample may have (jitter).
+    """
+
+    def __init__(
+        self, figures: TriadFigures, stream: Callable[[str], np.random.Generator], channel: Channel, *,
+        dt: float, every: int, mount: np.ndarray, turned: np.ndarray, longest: float = 0.0,
+    ) -> None:  # fmt: skip
+        f = self.figures = figures
+        self.channel = channel
+        self.period = dt * every
+        rate = 1.0 / self.period
+        corners = [c for c in (f.bandwidth, f.antialias * rate) if c > 0.0]
+        self.band = BandLimit(min(corners, default=0.0), f.delay, dt, every, longest)
+        # Every term draws whether it has a size or not: a grade's other figures leave its draws as they are.
+        rng = stream("turn-on")
+        self.turn_on = rng.standard_normal(3) * f.turn_on_bias
+        off_diagonal = math.tan(f.misalignment) * rng.standard_normal((3, 3)) + f.cross_axis * rng.standard_normal((3, 3))
+        np.fill_diagonal(off_diagonal, 1.0 + f.scale * rng.standard_normal(3))
+        self.matrix = off_diagonal
+        finite = np.isfinite(f.range)
+        self._square = rng.standard_normal(3) * f.non_linearity / np.where(finite, f.range, 1.0) * finite
+        self._tempco = rng.standard_normal(3) * f.temperature_drift
+        self._g_matrix = rng.standard_normal((3, 3)) * getattr(f, "g_sensitivity", 0.0)
+        self._rectification = rng.standard_normal(3) * getattr(f, "vibration_rectification", np.zeros(3))
+        self._white = White(white_sigma(f.noise_density, rate), stream("white"))
+        self._in_run = in_run_bias(f.bias_floor, f.rate_random_walk, self.period, stream("in-run"))
+        # Whole quanta within the range, so that quantising what was clipped changes nothing more.
+        self._limit = np.floor(f.range / f.quantum) * f.quantum if f.quantum > 0.0 else f.range
+        self._mount = np.ascontiguousarray(mount)
+        self._true_mount = np.ascontiguousarray(turned @ mount)
+
+    def process(
+        self, u_b: np.ndarray, rows: slice, t: np.ndarray, extra: np.ndarray, added: np.ndarray | None = None,
+        force_b: np.ndarray | None = None, rms2: np.ndarray | None = None, warmth: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+        """Samples of one block.
+
+        Args:
+            u_b: true quantity (n, 3) at every row of the truth, body axes.
+            rows: the sampled ones.
+            t: (m,) s, stamps.
+            extra: (m,) s, additional delay of each sample.
+            added: (m, 3) vibration.
+            force_b: (m, 3) m/s2, specific force, for the g-sensitivity.
+            rms2: (m,) (m/s2)^2 of vibration, for its rectification.
+            warmth: (m,) K above the temperature at switch-on.
+
+        Returns:
+            values (m, 3), saturated (m,), true bias (m, 3) of turn-on, in-run and temperature, and the noiseless input
+            (m, 3), all in body axes.
+        """
+        m = len(t)
+        u = self.band.process(u_b, rows, extra)
+        noise = self._white.process(m)
+        limit = np.empty((m, 3))
+        limit[:] = self._limit
+        if self.channel.shaping:
+            self.channel.shape(t, noise, limit)
+        if added is not None:
+            noise += added
+        bias = self._in_run.process(m)
+        out, saturated = np.empty((m, 3)), np.zeros(m, bool)
+        none = np.zeros(m)
+        _triad(u, u if force_b is None else force_b, none if rms2 is None else rms2, none if warmth is None else warmth,
+               noise, self._true_mount, self._mount, self.matrix, self._square, self._g_matrix, self._rectification,
+               self._tempco, self.turn_on, limit, self.figures.quantum, bias, out, saturated)  # fmt: skip
+        if self.channel.sending:
+            self.channel.send(t, out)
+        return out, saturated, bias, u
+
+
+@njit
+def _triad(
+    u_b: np.ndarray, force_b: np.ndarray, rms2: np.ndarray, warmth: np.ndarray, noise: np.ndarray,
+    true_mount: np.ndarray, mount: np.ndarray, matrix: np.ndarray, square: np.ndarray, g_matrix: np.ndarray,
+    rectification: np.ndarray, tempco: np.ndarray, turn_on: np.ndarray, limit: np.ndarray, quantum: float,
+    bias: np.ndarray, out: np.ndarray, saturated: np.ndarray,
+) -> None:  # fmt: skip
+    """The equation at the head of this file, row by row; `bias` (m, 3) holds the in-run part and becomes the whole, in
+    body axes.
+    """
+    u, f, y, b = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for i in range(out.shape[0]):
+        for k in range(3):
+            u[k] = true_mount[k, 0] * u_b[i, 0] + true_mount[k, 1] * u_b[i, 1] + true_mount[k, 2] * u_b[i, 2]
+            f[k] = true_mount[k, 0] * force_b[i, 0] + true_mount[k, 1] * force_b[i, 1] + true_mount[k, 2] * force_b[i, 2]
+        for k in range(3):
+            b[k] = turn_on[k] + bias[i, k] + tempco[k] * warmth[i]
+            v = matrix[k, 0] * u[0] + matrix[k, 1] * u[1] + matrix[k, 2] * u[2] + square[k] * u[k] * u[k]
+            v += g_matrix[k, 0] * f[0] + g_matrix[k, 1] * f[1] + g_matrix[k, 2] * f[2] + rectification[k] * rms2[i]
+            v += b[k] + noise[i, k]
+            top = limit[i, k]
+            if v > top or v < -top:
+                v = min(max(v, -top), top)
+                saturated[i] = True
+            if quantum > 0.0:
+                v = np.rint(v / quantum) * quantum
+            y[k] = v
+        for k in range(3):
+            out[i, k] = mount[0, k] * y[0] + mount[1, k] * y[1] + mount[2, k] * y[2]
+            bias[i, k] = mount[0, k] * b[0] + mount[1, k] * b[1] + mount[2, k] * b[2]
