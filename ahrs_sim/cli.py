@@ -43,7 +43,11 @@ def _parser() -> argparse.ArgumentParser:
     fly.add_argument("-o", "--output", type=Path, metavar="LOG", help="default: logs/SCENARIO-seedN.mcap")
     fly.add_argument("--seed", type=_natural, metavar="N", help="instead of the scenario's")
     fly.add_argument(
-        "--estimator", action="append", default=[], metavar="NAME", help="only this one; may be repeated; or METHOD@SUITE"
+        "--estimator",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="only this one, or METHOD@SUITE; may be repeated",
     )
     fly.add_argument("--duration", type=_positive, metavar="S", help="end after S seconds")
     fly.add_argument("--force", action="store_true", help="replace an existing log")

@@ -2,8 +2,8 @@
 
     flight -> sensors -> estimators -> log
 
-Each stage has `process(block) -> block` and keeps its own state. When an estimator flies the aircraft a block is one IMU
-sample long, else seconds; nothing else differs, and the log's bytes do not depend on it.
+Each stage has `process(block) -> block` and keeps its own state. When an estimator flies the aircraft a block is one
+IMU sample long, else seconds; nothing else differs, and the log's bytes do not depend on it.
 """
 
 import platform
@@ -198,7 +198,5 @@ def _metadata(scenario: Scenario, chains: list[Chain]) -> dict[str, dict[str, st
     }
     versions = {"python": platform.python_version(), **{name: version(name) for name in packages}}
     suites = {f"suite {c.suite.name}": c.suite.specification() for c in chains}
-    methods = {
-        f"estimator {e.name}": {k: str(v) for k, v in e.settings.items()} for e in scenario.estimators
-    }
+    methods = {f"estimator {e.name}": {k: str(v) for k, v in e.settings.items()} for e in scenario.estimators}
     return {"flight": flight, "versions": versions, **suites, **methods}

@@ -197,9 +197,7 @@ def parse(
         pilot_attitude=_pilot(table.table("pilot")),
         suites=_components(table, "suite"),
         estimators=_components(table, "estimator"),
-        faults=tuple(
-            Component(f"fault-{i + 1}", t.data, t.where) for i, t in enumerate(table.list_of_tables("fault"))
-        ),
+        faults=tuple(Component(f"fault-{i + 1}", t.data, t.where) for i, t in enumerate(table.list_of_tables("fault"))),
     )
     table.close()
     _check_links(scenario)

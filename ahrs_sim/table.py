@@ -1,10 +1,10 @@
 """Checked access to a TOML table: every key is used or refused, every message names file and key.
 
-    table = read_toml(path)                         # Table
-    seed = table.integer("seed", 0, minimum=0)
-    with_default = table.number("for_s", 10.0, above=0.0)
-    needed = table.text("aircraft")                 # no default: missing is an error
-    table.close()                                   # keys nobody asked for are errors, with the nearest spelling
+table = read_toml(path)                         # Table
+seed = table.integer("seed", 0, minimum=0)
+with_default = table.number("for_s", 10.0, above=0.0)
+needed = table.text("aircraft")                 # no default: missing is an error
+table.close()                                   # keys nobody asked for are errors, with the nearest spelling
 """
 
 import datetime

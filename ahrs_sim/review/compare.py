@@ -5,13 +5,14 @@ The log is read in its own chunks and only errors are kept (float32), so memory 
 
 import io
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ahrs_sim.errors import InputError, nearest
-from ahrs_sim.log.reader import LogReader
+from ahrs_sim.log.reader import LogReader, quaternion, stamps
 from ahrs_sim.review import metrics
 
 TRUTH_TOPIC = "/truth/odometry"
@@ -21,7 +22,7 @@ TURN_RATE = math.radians(3.0)
 """rad/s of heading (mean over 2 s) from which on a flight is turning: the standard rate, 360 deg in two minutes."""
 
 SETTLING = 20.0
-"""s after a turn that count neither as turning nor as straight: what an estimator learnt wrong in the turn dies away."""
+"""s after a turn that count neither as turning nor as straight: what an estimator learnt wrong in it dies away."""
 
 PHASES = ("ground", "straight", "turning", "settling")
 
@@ -51,80 +52,92 @@ def compare(
         raise InputError(f"{path}: --reference {reference}: no such estimator in this log{nearest(reference, names)}")
     if TRUTH_TOPIC not in log.topics:
         raise InputError(f"{path}: no {TRUTH_TOPIC} in it: there is nothing to compare with")
-    truth = _attitude(log, TRUTH_TOPIC)
-    phase = _phases(log, *truth)
-    against = _attitude(log, f"/est/{reference}/state") if reference else truth
+    truth = _truth(log)
+    against = _attitude(log, f"/est/{reference}/state") if reference else (truth.t, truth.q_nb)
     low, high = (-math.inf if start is None else start), (math.inf if end is None else end)
-    if max(low, truth[0][0]) >= min(high, truth[0][-1]):
-        raise InputError(f"{path}: --from/--to: the log spans {truth[0][0]:.1f} to {truth[0][-1]:.1f} s")
+    if max(low, truth.t[0]) >= min(high, truth.t[-1]):
+        raise InputError(f"{path}: --from/--to: the log spans {truth.t[0]:.1f} to {truth.t[-1]:.1f} s")
     estimators = {}
-    for name in names:
-        t, errors = _errors(log, name, *against)
+    for name, (t, errors) in _errors(log, names, *against).items():
         within = (t >= low) & (t <= high)
-        estimators[name] = _summary(errors[within], phase(t[within]))
+        estimators[name] = _summary(errors[within], truth.phase[_row(truth.t, t[within])])
     return {
         "log": str(path),
         "reference": reference or "truth",
-        "from_s": float(max(low, truth[0][0])),
-        "to_s": float(min(high, truth[0][-1])),
+        "from_s": float(max(low, truth.t[0])),
+        "to_s": float(min(high, truth.t[-1])),
         "estimators": estimators,
     }
 
 
-def _stamps(log: LogReader, messages: np.ndarray) -> np.ndarray:
+@dataclass(frozen=True)
+class _Truth:
+    t: np.ndarray  # (n,) s
+    q_nb: np.ndarray  # (n, 4)
+    phase: np.ndarray  # (n,) index into PHASES
+
+
+def _seconds(log: LogReader, messages: np.ndarray) -> np.ndarray:
     """Header stamps as seconds of flight, (n,)."""
-    stamp = messages["header"]["stamp"]
-    return (stamp["sec"].astype(np.int64) * 10**9 + stamp["nanosec"] - log.epoch_ns) * 1e-9
+    return (stamps(messages) - log.epoch_ns) * 1e-9
 
 
-def _quaternion(q: np.ndarray) -> np.ndarray:
-    """ROS fields x, y, z, w as (n, 4), scalar first."""
-    return np.column_stack([q["w"], q["x"], q["y"], q["z"]])
+def _row(t: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Row of `t` (rising) that is next to each of `at`, at or after it."""
+    return np.clip(np.searchsorted(t, at - 1e-6), 0, len(t) - 1)
 
 
-def _attitude(log: LogReader, topic: str) -> tuple[np.ndarray, np.ndarray]:
-    """Times (n,) and attitude (n, 4) of a topic."""
-    times, quaternions = [], []
-    for messages in log.blocks(topic):
-        times.append(_stamps(log, messages))
-        q = messages["pose"]["pose"]["orientation"] if "pose" in messages.dtype.names else messages["orientation"]
-        quaternions.append(_quaternion(q))
-    if not times:
-        raise InputError(f"{log.path}: {topic} is empty: nothing to compare with")
-    return np.concatenate(times), np.concatenate(quaternions)
-
-
-def _errors(log: LogReader, name: str, t: np.ndarray, q_nb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Times (n,) and errors (n, 5) of an estimator against an attitude history."""
-    times, errors = [np.empty(0)], [np.empty((0, len(metrics.MEASURES)), np.float32)]
-    for messages in log.blocks(f"/est/{name}/state"):
-        at = _stamps(log, messages)
-        down = messages["down"]
-        down_b = np.column_stack([down["x"], down["y"], down["z"]])
-        reference = metrics.interpolate(t, q_nb, at)
-        times.append(at)
-        errors.append(metrics.attitude_errors(_quaternion(messages["orientation"]), down_b, reference).astype(np.float32))
-    return np.concatenate(times), np.concatenate(errors)
-
-
-def _phases(log: LogReader, t: np.ndarray, q_nb: np.ndarray) -> Any:
-    """A function from times (m,) to the index of the phase in PHASES (m,)."""
+def _truth(log: LogReader) -> _Truth:
+    """Attitude and phase of the flight."""
+    topics = [TRUTH_TOPIC, AIR_TOPIC] if AIR_TOPIC in log.topics else [TRUTH_TOPIC]
+    blocks = list(log.blocks(topics))
+    t = np.concatenate([_seconds(log, b[TRUTH_TOPIC]) for b in blocks])
+    q_nb = np.concatenate([quaternion(b[TRUTH_TOPIC]["pose"]["pose"]["orientation"]) for b in blocks])
+    if len(t) < 2:
+        raise InputError(f"{log.path}: {TRUTH_TOPIC} is empty: there is nothing to compare with")
     ground = np.zeros(len(t), bool)
-    if AIR_TOPIC in log.topics:
-        blocks = list(log.blocks(AIR_TOPIC))
-        on_ground = np.concatenate([b["on_ground"].astype(bool) for b in blocks])
-        at = np.concatenate([_stamps(log, b) for b in blocks])
-        ground = on_ground[np.clip(np.searchsorted(at, t - 1e-6), 0, len(at) - 1)]
+    if AIR_TOPIC in topics:
+        at = np.concatenate([_seconds(log, b[AIR_TOPIC]) for b in blocks])
+        ground = np.concatenate([b[AIR_TOPIC]["on_ground"] for b in blocks])[_row(at, t)]
+    return _Truth(t, q_nb, _phases(t, q_nb, ground))
+
+
+def _phases(t: np.ndarray, q_nb: np.ndarray, ground: np.ndarray) -> np.ndarray:
+    """Index into PHASES (n,)."""
     heading = np.unwrap(metrics.euler(q_nb)[:, 2])
-    half = max(1, round(1.0 / float(np.median(np.diff(t))))) if len(t) > 2 else 1
+    half = max(1, round(1.0 / float(np.median(np.diff(t)))))
     later, earlier = np.minimum(np.arange(len(t)) + half, len(t) - 1), np.maximum(np.arange(len(t)) - half, 0)
-    span = np.maximum(t[later] - t[earlier], 1e-9)
-    turning = np.abs(heading[later] - heading[earlier]) / span > TURN_RATE
+    turning = np.abs(heading[later] - heading[earlier]) > TURN_RATE * (t[later] - t[earlier])
     last_turn = np.maximum.accumulate(np.where(turning & ~ground, t, -np.inf))
     phase = np.where(t - last_turn < SETTLING, PHASES.index("settling"), PHASES.index("straight"))
     phase[turning] = PHASES.index("turning")
     phase[ground] = PHASES.index("ground")
-    return lambda at: phase[np.clip(np.searchsorted(t, at - 1e-6), 0, len(t) - 1)]
+    return phase
+
+
+def _attitude(log: LogReader, topic: str) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,) and attitude (n, 4) of an estimator, where it has one."""
+    blocks = [(_seconds(log, b), b["q_nb"]) for b in log.blocks(topic)]
+    t, q_nb = (np.concatenate(column) for column in zip(*blocks, strict=True)) if blocks else (np.empty(0),) * 2
+    known = np.isfinite(q_nb).all(axis=-1)
+    if known.sum() < 2:
+        raise InputError(f"{log.path}: {topic} has no attitude to compare with")
+    return t[known], q_nb[known]
+
+
+def _errors(
+    log: LogReader, names: list[str], t: np.ndarray, q_nb: np.ndarray
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Times (n,) and errors (n, 5) of each estimator against an attitude history."""
+    topics = {f"/est/{name}/state": name for name in names}
+    parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {name: [] for name in names}
+    for block in log.blocks(list(topics)):
+        for topic, messages in block.items():
+            at = _seconds(log, messages)
+            reference = metrics.interpolate(t, q_nb, at)
+            errors = metrics.attitude_errors(messages["q_nb"], messages["down_b"], reference)
+            parts[topics[topic]].append((at, errors.astype(np.float32)))
+    return {name: tuple(np.concatenate(c) for c in zip(*p, strict=True)) for name, p in parts.items()}  # type: ignore[misc]
 
 
 def _summary(errors: np.ndarray, phase: np.ndarray) -> dict[str, Any]:
