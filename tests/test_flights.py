@@ -1,0 +1,241 @@
+"""Whole flights through the command line, as a user runs them."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from ahrs_sim.cli import main
+
+ROOT = Path(__file__).parents[1]
+SHORT = """
+extends = "circuit"
+[start]
+on_ground = true
+"""
+
+
+def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own."""
+    command = [sys.executable, "-m", "ahrs_sim.cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def fly(*arguments: str | Path) -> int:
+    return main(["fly", *map(str, arguments), "--quiet"])
+
+
+def compare(log: Path, *arguments: str) -> dict:
+    done = run("compare", log, "--json", *arguments)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.fixture(scope="session")
+def circuit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The whole circuit, flown once for all tests."""
+    log = tmp_path_factory.mktemp("circuit") / "circuit.mcap"
+    assert fly("circuit", "-o", log, "--seed", "1") == 0
+    return log
+
+
+def test_fly_prints_the_table_and_the_path(tmp_path: Path) -> None:
+    log = tmp_path / "a.mcap"
+    done = run("fly", "circuit", "--duration", "40", "-o", log)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    for name in ("ekf-chr", "ckf-chr", "cdkf-chr", "ekf-sbg"):
+        assert re.search(rf"^{name} +\d", done.stdout, re.MULTILINE), done.stdout
+    assert done.stdout.rstrip().endswith(str(log))
+
+
+def test_same_seed_same_bytes_whatever_the_block(tmp_path: Path) -> None:
+    logs = [tmp_path / f"{i}.mcap" for i in range(4)]
+    assert fly("circuit", "--duration", "75", "-o", logs[0]) == 0
+    assert fly("circuit", "--duration", "75", "-o", logs[1]) == 0
+    assert fly("circuit", "--duration", "75", "-o", logs[2], "--block", "0.37") == 0
+    assert fly("circuit", "--duration", "75", "-o", logs[3], "--seed", "2") == 0
+    first = logs[0].read_bytes()
+    assert first == logs[1].read_bytes()
+    assert first == logs[2].read_bytes()
+    assert first != logs[3].read_bytes()
+
+
+def test_one_sample_blocks_are_the_same_code(tmp_path: Path) -> None:
+    """The closed loop works sample by sample; flying on the truth that way changes nothing."""
+    logs = [tmp_path / "open.mcap", tmp_path / "sample.mcap"]
+    assert fly("circuit", "--duration", "66", "-o", logs[0]) == 0
+    assert fly("circuit", "--duration", "66", "-o", logs[1], "--block", "0.01") == 0
+    assert logs[0].read_bytes() == logs[1].read_bytes()
+
+
+def test_estimators_asked_for_do_not_change_the_flight(tmp_path: Path) -> None:
+    """Noise depends on the seed and the sensor's name alone."""
+    from ahrs_sim.log.reader import LogReader
+
+    one, all_ = tmp_path / "one.mcap", tmp_path / "all.mcap"
+    assert fly("circuit", "--duration", "30", "-o", all_) == 0
+    assert fly("circuit", "--duration", "30", "-o", one, "--estimator", "ckf-chr") == 0
+    for topic in ("/chr/imu/data_raw", "/est/ckf-chr/state", "/truth/odometry"):
+        assert LogReader(one).read(topic).tobytes() == LogReader(all_).read(topic).tobytes()
+
+
+def test_circuit_on_the_ground_and_straight_below_one_degree(circuit: Path) -> None:
+    result = compare(circuit)
+    assert result["reference"] == "truth"
+    assert set(result["estimators"]) == {"ekf-chr", "ckf-chr", "cdkf-chr", "ekf-sbg"}
+    for name, values in result["estimators"].items():
+        for key in ("roll_rmse_deg", "pitch_rmse_deg", "heading_rmse_deg", "tilt_rmse_deg", "total_rmse_deg"):
+            assert 0 < values[key] < 180, (name, key)
+            assert values[key] <= values[key.replace("rmse", "max")]
+        phases = values["phases"]
+        assert phases["ground"]["tilt_rmse_deg"] < 1.0, name
+        assert phases["straight"]["tilt_rmse_deg"] < 1.0, name
+        assert phases["turning"]["tilt_rmse_deg"] > 5.0, "without aiding a turn reads as level flight"
+
+
+def test_compare_with_the_papers_reference(circuit: Path) -> None:
+    result = compare(circuit, "--reference", "ekf-sbg")
+    assert result["reference"] == "ekf-sbg"
+    assert result["estimators"]["ekf-sbg"]["total_max_deg"] == 0.0
+    assert result["estimators"]["ckf-chr"]["total_rmse_deg"] > 0.1
+
+
+def test_kill_and_recover(tmp_path: Path) -> None:
+    log, part, back = tmp_path / "k.mcap", tmp_path / "k.mcap.part", tmp_path / "back.mcap"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "ahrs_sim.cli", "fly", "circuit", "-o", str(log)], stdout=subprocess.DEVNULL
+    )
+    deadline = time.monotonic() + 120
+    while not (part.exists() and part.stat().st_size > 3e6) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not log.exists()
+    assert run("compare", part).returncode == 2
+    done = run("recover", part, "-o", back)
+    assert done.returncode == 0, done.stderr
+    whole = tmp_path / "whole.mcap"
+    values = compare(back)
+    reached = values["to_s"]
+    assert reached > 5
+    assert fly("circuit", "-o", whole, "--duration", str(reached)) == 0
+    from ahrs_sim.log.reader import LogReader
+
+    a, b = (LogReader(x).read("/truth/odometry") for x in (back, whole))
+    n = min(len(a), len(b))
+    assert n > 500
+    assert a[:n].tobytes() == b[:n].tobytes()
+
+
+def test_interrupt_closes_the_log(tmp_path: Path) -> None:
+    log, part = tmp_path / "i.mcap", tmp_path / "i.mcap.part"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "ahrs_sim.cli", "fly", "circuit", "-o", str(log)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 120
+    while not (part.exists() and part.stat().st_size > 1e6) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert log.exists()
+    assert not part.exists()
+    assert compare(log)["to_s"] > 1
+
+
+BAD = {
+    "unknown key": ('extends = "circuit"\nsede = 3\n', "sede"),
+    "unknown aircraft": ('aircraft = "trainr"\n[[step]]\ndo = "wait"\nfor_s = 1.0\n', "trainer"),
+    "unknown manoeuvre": ('[[step]]\ndo = "trun"\nbank_deg = 30.0\n', "turn"),
+    "unknown manoeuvre key": ('[[step]]\ndo = "wait"\nfor_d = 30.0\n', "for_s"),
+    "unknown property": ('[[step]]\ndo = "set"\nproperty = "fcs/nothing"\nvalue = 1.0\n', "fcs/nothing"),
+    "negative duration": ('[[step]]\ndo = "wait"\nfor_s = -1.0\n', "for_s"),
+    "nan": ('[[step]]\ndo = "turn"\nbank_deg = nan\n', "bank_deg"),
+    "unknown grade": ('extends = "circuit"\n[suite.chr]\ngrade = "chr_6dn"\n', "chr_6dm"),
+    "unknown method": ('extends = "circuit"\n[estimator.x]\nmethod = "marg-ckff"\nsuite = "chr"\n', "marg-ckf"),
+    "unknown setting": ('extends = "circuit"\n[estimator.ckf-chr]\nnoize = "given"\n', "noise"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_scenarios_get_one_line_and_leave_nothing(tmp_path: Path, case: str) -> None:
+    text, word = BAD[case]
+    scenario, log = tmp_path / "bad.toml", tmp_path / "bad.mcap"
+    scenario.write_text(text)
+    done = run("fly", scenario, "-o", log)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert "bad.toml" in done.stderr
+    assert word in done.stderr
+    assert list(tmp_path.iterdir()) == [scenario]
+
+
+def test_existing_and_unwritable_output(tmp_path: Path) -> None:
+    log = tmp_path / "kept.mcap"
+    log.write_bytes(b"precious")
+    done = run("fly", "circuit", "-o", log)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "--force" in done.stderr
+    assert log.read_bytes() == b"precious"
+    done = run("fly", "circuit", "-o", tmp_path / "no" / "folder" / "x.mcap")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "folder" in done.stderr
+
+
+@pytest.mark.parametrize("content", [b"", b"hello, not a log", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + os.urandom(500)])
+def test_compare_refuses_what_is_no_log(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(content)
+    for command in (["compare"], ["info"]):
+        done = run(*command, path)
+        assert done.returncode == 2
+        assert done.stderr.count("\n") == 1, done.stderr
+        assert "x.mcap" in done.stderr
+
+
+def test_truncated_log(circuit: Path, tmp_path: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(circuit.read_bytes()[:2_000_000])
+    done = run("compare", path)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "recover" in done.stderr
+
+
+def test_help_is_quick_because_imports_are_lazy() -> None:
+    code = "import sys, ahrs_sim.cli as c\ntry: c.main(['--help'])\nexcept SystemExit: pass\nprint(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert not loaded & {"numba", "jsbsim", "pandas", "scipy", "matplotlib", "mcap", "numpy"}
+
+
+def test_fly_does_not_import_what_it_does_not_need(tmp_path: Path) -> None:
+    code = (
+        "import sys, ahrs_sim.cli as c\n"
+        f"assert c.main(['fly', 'circuit', '--duration', '2', '--quiet', '-o', {str(tmp_path / 'x.mcap')!r}]) == 0\n"
+        "print(*sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not set(done.stdout.split()) & {"pandas", "scipy", "matplotlib", "rosbags"}
+
+
+def test_the_aircraft_flies_on_an_estimate(tmp_path: Path) -> None:
+    """Straight ahead the unaided filter is good enough to fly on; the loop is closed through /est."""
+    scenario, log = tmp_path / "closed.toml", tmp_path / "closed.mcap"
+    scenario.write_text('extends = "circuit"\nduration_s = 80.0\n[pilot]\nattitude = "ckf-chr"\n')
+    assert fly(scenario, "-o", log) == 0
+    opened = tmp_path / "open.mcap"
+    assert fly("circuit", "--duration", "80", "-o", opened) == 0
+    closed, on_truth = compare(log)["estimators"], compare(opened)["estimators"]
+    assert closed["ckf-chr"]["tilt_rmse_deg"] < 3.0
+    assert closed["ckf-chr"]["tilt_rmse_deg"] != on_truth["ckf-chr"]["tilt_rmse_deg"]
