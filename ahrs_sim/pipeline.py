@@ -137,7 +137,7 @@ def _chains(scenario: Scenario, flight: Flight) -> list[Chain]:
     lla = np.array([start.latitude, start.longitude, start.altitude])
     site = Site(
         lla=(start.latitude, start.longitude, start.altitude),
-        gravity=float(gravity.normal(lla[None])[0]),
+        gravity=float(gravity.normal_gravity(lla[None])[0]),
         mag_n=tuple(magnetic.field_n(lla[None], scenario.epoch)[0]),
     )
     chains = []

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim.errors import InputError, nearest
-from ahrs_sim.log.reader import LogReader, quaternion, stamps
+from ahrs_sim.log.reader import quaternion, stamps, vector
+from ahrs_sim.log.record import FlightReader
 from ahrs_sim.review import metrics
 
 TRUTH_TOPIC = "/truth/odometry"
@@ -44,8 +45,8 @@ def compare(
     Raises:
         InputError: no log, no truth or estimator in it, or an unknown reference.
     """
-    log = LogReader(path)
-    names = [t.split("/")[2] for t in log.topics if t.startswith("/est/") and t.endswith("/state")]
+    log = FlightReader(path)
+    names = log.estimators
     if not names:
         raise InputError(f"{path}: no estimates in it (no topic /est/NAME/state); replay it with an estimator first")
     if reference is not None and reference not in names:
@@ -77,9 +78,9 @@ class _Truth:
     phase: np.ndarray  # (n,) index into PHASES
 
 
-def _seconds(log: LogReader, messages: np.ndarray) -> np.ndarray:
+def _seconds(log: FlightReader, messages: np.ndarray) -> np.ndarray:
     """Header stamps as seconds of flight, (n,)."""
-    return (stamps(messages) - log.epoch_ns) * 1e-9
+    return log.seconds(stamps(messages))
 
 
 def _row(t: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -87,7 +88,7 @@ def _row(t: np.ndarray, at: np.ndarray) -> np.ndarray:
     return np.clip(np.searchsorted(t, at - 1e-6), 0, len(t) - 1)
 
 
-def _truth(log: LogReader) -> _Truth:
+def _truth(log: FlightReader) -> _Truth:
     """Attitude and phase of the flight."""
     topics = [TRUTH_TOPIC, AIR_TOPIC] if AIR_TOPIC in log.topics else [TRUTH_TOPIC]
     blocks = list(log.blocks(topics))
@@ -115,9 +116,9 @@ def _phases(t: np.ndarray, q_nb: np.ndarray, ground: np.ndarray) -> np.ndarray:
     return phase
 
 
-def _attitude(log: LogReader, topic: str) -> tuple[np.ndarray, np.ndarray]:
+def _attitude(log: FlightReader, topic: str) -> tuple[np.ndarray, np.ndarray]:
     """Times (n,) and attitude (n, 4) of an estimator, where it has one."""
-    blocks = [(_seconds(log, b), b["q_nb"]) for b in log.blocks(topic)]
+    blocks = [(_seconds(log, b), quaternion(b["orientation"])) for b in log.blocks(topic)]
     t, q_nb = (np.concatenate(column) for column in zip(*blocks, strict=True)) if blocks else (np.empty(0),) * 2
     known = np.isfinite(q_nb).all(axis=-1)
     if known.sum() < 2:
@@ -126,7 +127,7 @@ def _attitude(log: LogReader, topic: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _errors(
-    log: LogReader, names: list[str], t: np.ndarray, q_nb: np.ndarray
+    log: FlightReader, names: list[str], t: np.ndarray, q_nb: np.ndarray
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Times (n,) and errors (n, 5) of each estimator against an attitude history."""
     topics = {f"/est/{name}/state": name for name in names}
@@ -135,7 +136,7 @@ def _errors(
         for topic, messages in block.items():
             at = _seconds(log, messages)
             reference = metrics.interpolate(t, q_nb, at)
-            errors = metrics.attitude_errors(messages["q_nb"], messages["down_b"], reference)
+            errors = metrics.attitude_errors(quaternion(messages["orientation"]), vector(messages["down"]), reference)
             parts[topics[topic]].append((at, errors.astype(np.float32)))
     return {name: tuple(np.concatenate(c) for c in zip(*p, strict=True)) for name, p in parts.items()}  # type: ignore[misc]
 
