@@ -29,6 +29,8 @@ INCH = 0.0254  # m
 PSF = 47.88025898033584  # Pa
 RANKINE = 5.0 / 9.0  # K
 
+EULER, ADAMS_BASHFORTH_2, BUSS_2 = 1, 3, 7  # JSBSim's integrators
+
 PILOT_RATE = 50.0  # Hz
 SETTLE_GROUND = 4.0  # s until the springs of the wheels are at rest
 SETTLE_AIR = 15.0  # s until motor, trim and holds are
@@ -114,9 +116,11 @@ class JsbsimFlight:
             fdm.exec.run_ic()
         else:
             self._start(scenario)
-        # the default, Euler's method, drifts 0.09 deg in 600 s; these are Adams-Bashforth 2 and Buss 2
-        fdm["simulation/integrator/rate/rotational"] = 3
-        fdm["simulation/integrator/position/rotational"] = 7
+        fdm["simulation/integrator/position/rotational"] = BUSS_2  # the default drifts 0.09 deg in 600 s
+        self._integrators = [fdm.setter(f"simulation/integrator/rate/{x}") for x in ("rotational", "translational")]
+        self._low = fdm["metrics/bw-ft"]  # ft, below which the ground is near: the wing span
+        self._near_ground = False
+        self._choose_integrators(True)
         self._wind(scenario)
         self._gusts = list(scenario.wind.gusts)
         self._get = [_reader(fdm, name) for name, _ in _COLUMNS]
@@ -256,6 +260,7 @@ class JsbsimFlight:
         if self._next >= self._rows:
             self._finish(None)
             return False
+        self._choose_integrators(row[HEIGHT_AGL] < self._low)
         if not self._scripted and (reason := self._crash(row)):
             self._events.append(Event(t, "error", "flight", f"crash: {reason}"))
             self._finish(f"crash at {t:.1f} s{self._pilot.during()}: {reason}")
@@ -266,6 +271,19 @@ class JsbsimFlight:
             self._finish(self._pilot.error)
             return False
         return True
+
+    def _choose_integrators(self, near_ground: bool) -> None:
+        """How rates and velocities are integrated: Adams-Bashforth 2 in the air, Euler near the ground.
+
+        JSBSim's friction is the force that stops the wheel within one Euler step. Under Adams-Bashforth 2 that has an
+        eigenvalue of -1: a parked aircraft shakes from side to side at half the step's rate for ever, with whatever
+        amplitude the touchdown left, and a 100 Hz sensor sees it as a constant false tilt. The change comes before the
+        wheels touch, because in the shock it would leave a step between acceleration and velocity.
+        """
+        if near_ground != self._near_ground:
+            self._near_ground = near_ground
+            for put in self._integrators:
+                put(EULER if near_ground else ADAMS_BASHFORTH_2)
 
     def _crash(self, row: list[float]) -> str | None:
         if not math.isfinite(row[HEIGHT_AGL]):
