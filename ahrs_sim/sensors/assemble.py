@@ -31,8 +31,8 @@ _TYPES: dict[str, type[Record]] = {
 class Assembler:
     """Merges the records of one suite by arrival.
 
-    A row of `Samples` holds what had arrived when its IMU message did. A message that says "nothing" (no fix, a heading of
-    NaN) makes the latched value NaN and sets no `*_new`.
+    A row of `Samples` holds what had arrived when its IMU message did. A message that says "nothing" (no fix, a heading
+    of NaN) makes the latched value NaN and sets no `*_new`.
     """
 
     def __init__(self) -> None:

@@ -6,9 +6,10 @@
   stationary distribution.
 * Flicker (bias instability B): Gauss-Markov terms one decade apart, T = 0.1 s ... 1e4 s, each with
   sigma = B sqrt(ln 10 / pi), whose Allan deviation is flat at 0.664 B within 4 % from 0.5 s to 2000 s.
-* Random walk: x <- x + K sqrt(dt) n, an Allan variance K^2 tau / 3; starts from zero, as it has no stationary distribution.
+* Random walk: x <- x + K sqrt(dt) n, an Allan variance K^2 tau / 3; starts from zero, having no stationary distribution.
 
-Every process draws row by row from a generator of its own, so that neither the length of blocks nor other processes matter.
+Every process draws row by row from a generator of its own, so that neither the length of blocks nor other processes
+matter.
 """
 
 import math
@@ -30,6 +31,11 @@ ALLAN_FLOOR = math.sqrt(2.0 * math.log(2.0) / math.pi)
 def white_sigma(density: np.ndarray, rate: float) -> np.ndarray:
     """Sigma of samples at `rate` (Hz) of a noise with single-sided `density` (unit/sqrt(Hz))."""
     return density * math.sqrt(rate / 2.0)
+
+
+def rms(x: np.ndarray) -> float:
+    """Root mean square over the axes: the one sigma that stands for all."""
+    return float(np.sqrt(np.mean(np.square(x))))
 
 
 class White:

@@ -8,9 +8,9 @@
     for_s = 30.0               # absent: to the end of the flight
     size_dps = [0.0, 0.0, 2.0] # in a unit of the sensor; one number stands for all axes
 
-A fault hits the samples whose stamp t has at <= t < at + for, and no other. Kinds that shape a value (bias, drift, spike,
-noise, saturation) act before the range and the quantisation of the instrument, several add up; then `freeze` and `nan`
-act on what would be sent, and `dropout` and `delay` on the message. The fields of `dipole`, `field_step` and
+A fault hits the samples whose slot t has at <= t < at + for, and no other. Kinds that shape a value (bias, drift,
+spike, noise, saturation) act before the range and the quantisation of the instrument, several add up; then `freeze` and
+`nan` act on what would be sent, and `dropout` and `delay` on the message. The fields of `dipole`, `field_step` and
 `field_burst` act on the place where the magnetometer is, ahead of its filter and delay.
 """
 
@@ -57,6 +57,9 @@ INSTRUMENT = {
     "vanes": "air_data", "interferometer": "interferometer",
 }  # fmt: skip
 """The instrument that a channel belongs to."""
+
+RANGED = ("gyro", "accelerometer", "magnetometer", "diff_pressure", "static_pressure")
+"""Sensors that can saturate."""
 
 SHAPING = ("bias", "drift", "spike", "noise", "saturation", "wrong_fix")
 SENDING = ("freeze", "nan")
@@ -245,9 +248,7 @@ def check_suites(components: Iterable[Component], suites: Sequence[str]) -> None
             raise InputError(f"{c.where}: suite: '{name}' is unknown{nearest(str(name), suites)}")
 
 
-def make_faults(
-    components: Iterable[Component], *, suite: str, instruments: Sequence[str], seed: int
-) -> Faults:
+def make_faults(components: Iterable[Component], *, suite: str, instruments: Sequence[str], seed: int) -> Faults:
     """The faults of `suite` among those of the scenario, checked.
 
     Raises:
@@ -263,7 +264,7 @@ def make_faults(
 
 def _make(component: Component, suite: str, instruments: Sequence[str], seed: int, number: int) -> Fault | None:
     table = component.table()
-    named = table.text("suite", None)
+    named = table.text("suite", "")
     sensor = table.choice("sensor", sorted(SENSORS))
     kind = table.choice("kind", KINDS)
     at = table.number("at_s", minimum=0.0)
@@ -274,10 +275,10 @@ def _make(component: Component, suite: str, instruments: Sequence[str], seed: in
     )
     _fill(fault, table)
     table.close()
-    if named is not None and named != suite:
+    if named not in ("", suite):
         return None
     if INSTRUMENT[channels[0]] not in instruments:
-        if named is None:
+        if not named:
             return None
         raise table.error("sensor", f"suite '{suite}' has no {sensor}; it has {', '.join(instruments)}")
     return fault
@@ -286,15 +287,17 @@ def _make(component: Component, suite: str, instruments: Sequence[str], seed: in
 def _fill(fault: Fault, table: Table) -> None:
     """What a kind needs besides sensor and time."""
     kind, channels = fault.kind, fault.channels
+    if kind == "saturation" and fault.sensor not in RANGED:
+        raise table.error("kind", f"{fault.sensor} has no range; saturation is for {', '.join(RANGED)}")
     if kind in MESSAGE and fault.sensor in ("gyro", "accelerometer", "vanes"):
         group = "imu" if fault.sensor != "vanes" else "air_data"
-        raise table.error("kind", f"{fault.sensor} shares its message; say sensor = \"{group}\", or kind = \"nan\"")
+        raise table.error("kind", f'{fault.sensor} shares its message; say sensor = "{group}", or kind = "nan"')
     if kind in SKY and fault.sensor != "gnss":
-        raise table.error("kind", f"{kind} acts on satellite reception; say sensor = \"gnss\"")
+        raise table.error("kind", f'{kind} acts on satellite reception; say sensor = "gnss"')
     if kind in FIELD and fault.sensor != "magnetometer":
-        raise table.error("kind", f"{kind} is a magnetic field; say sensor = \"magnetometer\"")
+        raise table.error("kind", f'{kind} is a magnetic field; say sensor = "magnetometer"')
     if kind == "wrong_fix" and fault.sensor not in ("heading", "position"):
-        raise table.error("kind", "wrong_fix is a matter of sensor = \"heading\" or \"position\"")
+        raise table.error("kind", 'wrong_fix is a matter of sensor = "heading" or "position"')
     if kind in ("bias", "drift", "spike", "saturation", "wrong_fix", "field_step", "field_burst"):
         fault.size = _size(fault, table, required=True)
     if kind == "spike":

@@ -29,7 +29,7 @@ from ahrs_sim.table import read_toml
 STANDARD_GRAVITY = 9.80665  # m/s2 per g
 
 MARKS = ("quoted", "firmware", "computed", "inferred", "chosen")
-"""From the maker's paper, from its code, by calculation, by reasoning; `chosen`: how this unit is set up or installed."""
+"""From the maker's paper, from its code, by calculation, by reasoning; `chosen`: how it is set up or installed here."""
 
 _DEG = math.pi / 180.0
 UNITS: dict[str, dict[str, float]] = {
@@ -63,6 +63,11 @@ class Entry:
     factor: float  # to SI
     source: str
     mark: str
+
+    @property
+    def text(self) -> str:
+        """The value as written, components separated by spaces."""
+        return " ".join(f"{x:.6g}" for x in np.atleast_1d(self.value))
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,9 +120,7 @@ def _entry(key: str, stated: Any, factor: float, where: str, default_source: str
     return Entry(key, written, factor, source, mark)
 
 
-def parse(
-    tables: Mapping[str, Any], sections: Mapping[str, Section], where: str, source: str | None = None
-) -> Layer:
+def parse(tables: Mapping[str, Any], sections: Mapping[str, Section], where: str, source: str | None = None) -> Layer:
     """Check the tables of a grade or of overrides.
 
     Args:

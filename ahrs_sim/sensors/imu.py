@@ -1,21 +1,22 @@
 """Gyro and accelerometer, sent together.
 
-The accelerometer feels f = f_cg + w' x r + w x (w x r), r from the centre of gravity, which moves, to the unit. The chip
-warms up from switch-on towards the air's temperature plus its own heat.
+The accelerometer feels f = f_cg + w' x r + w x (w x r), r from the centre of gravity, which moves, to the unit. The
+chip warms up from switch-on towards the air's temperature plus its own heat.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.jit import njit
-from ahrs_sim.sensors.faults import Faults
-from ahrs_sim.sensors.grade import Grade, figure
+from ahrs_sim.sensors.errors import rms
+from ahrs_sim.sensors.fitting import Fitting
+from ahrs_sim.sensors.grade import figure
 from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import ImuErrorsRecord, ImuRecord, Record
-from ahrs_sim.sensors.signal import Clock, Lag, divider, nanoseconds
+from ahrs_sim.sensors.signal import Clock, Lag, nanoseconds
 from ahrs_sim.sensors.triad import GyroFigures, InertialFigures, Triad
 from ahrs_sim.sensors.vibration import MotorFigures, Vibration
 
@@ -36,40 +37,45 @@ class Imu:
 
     records = ("imu", "imu_errors")
 
-    def __init__(
-        self, grade: Grade, stream: Callable[..., np.random.Generator], faults: Faults, *, dt: float,
-        position: np.ndarray | None, mount: np.ndarray, turned: np.ndarray, where: str,
-    ) -> None:  # fmt: skip
-        f = self.figures = grade.figures("imu", ImuFigures)
-        every = divider(f.rate, dt, where)
-        self.period = every * dt
-        self.position = position  # m, FRD from the aircraft's reference; None: where the CG is at first
+    def __init__(self, fitting: Fitting) -> None:
+        f = self.figures = fitting.figures("imu", ImuFigures)
+        every = fitting.every(f.rate, "imu")
+        self.period = every * fitting.dt
+        self.position = fitting.position  # m, FRD from the aircraft's reference; None: where the CG is at first
         self._clock = Clock(every)
         # What a sample can be early is bounded so that the delay line is: beyond 5 sigma nothing was lost.
         self._earliest = min(5.0 * f.jitter, 0.9 * self.period)
-        common = {"dt": dt, "every": every, "mount": mount, "turned": turned, "longest": self._earliest}
-        motor = grade.figures("motor", MotorFigures)
-        self.gyro = self._triad(grade.figures("gyro", GyroFigures), "gyro", stream, faults, common)
-        self.accel = self._triad(grade.figures("accelerometer", InertialFigures), "accelerometer", stream, faults, common)
-        self._shakes = [
-            Vibration(motor, figures.vibration_line, figures.vibration_band, triad.band.cutoff, dt, every,
-                      stream(name, "vibration"))
-            for triad, figures, name in (
-                (self.gyro, grade.figures("gyro", GyroFigures), "gyro"),
-                (self.accel, grade.figures("accelerometer", InertialFigures), "accelerometer"),
-            )
-        ]  # fmt: skip
-        self._clock_noise = stream("imu", "clock")
+        gyro, accel = fitting.figures("gyro", GyroFigures), fitting.figures("accelerometer", InertialFigures)
+        self.gyro = Triad("gyro", gyro, fitting, every, self._earliest)
+        self.accel = Triad("accelerometer", accel, fitting, every, self._earliest)
+        motor = fitting.figures("motor", MotorFigures)
+        self._gyro_shake = Vibration(motor, gyro, self.gyro.band.cutoff, fitting, every, "gyro")
+        self._accel_shake = Vibration(motor, accel, self.accel.band.cutoff, fitting, every, "accelerometer")
+        self._clock_noise = fitting.stream("imu", "clock")
         self._heat = Lag(f.warm_up_time, self.period)
         self._cold: float | None = None  # K, at switch-on
-        self._outbox = Outbox(ImuRecord, faults.channel("gyro"), 0.0)
-        self._errors = Outbox(ImuErrorsRecord, faults.channel("gyro"), 0.0)
+        self._outbox = Outbox(ImuRecord, fitting.channel("gyro"), 0.0)
+        self._errors = Outbox(ImuErrorsRecord, fitting.channel("gyro"), 0.0)
 
-    @staticmethod
-    def _triad(
-        figures: InertialFigures, name: str, stream: Callable[..., np.random.Generator], faults: Faults, common: dict
-    ) -> Triad:
-        return Triad(figures, lambda part: stream(name, part), faults.channel(name), **common)
+    def info(self) -> dict[str, Any]:
+        """What `SensorInfo` says of it."""
+        g, a = self.gyro.figures, self.accel.figures
+        return {
+            "rate": 1.0 / self.period,
+            "gyro_noise": rms(g.noise_density),
+            "gyro_bias": rms(g.turn_on_bias),
+            "gyro_instability": rms(g.bias_floor),
+            "gyro_scale": self.gyro.scale_sigma,
+            "gyro_delay": self.gyro.band.delay,
+            "accel_noise": rms(a.noise_density),
+            "accel_bias": rms(a.turn_on_bias),
+            "accel_scale": self.accel.scale_sigma,
+            "accel_delay": self.accel.band.delay,
+        }
+
+    def drawn(self) -> dict[str, Any]:
+        """The truth of what was drawn, SI."""
+        return self.gyro.drawn() | self.accel.drawn()
 
     def process(self, truth: Truth) -> dict[str, Record]:
         """Records that arrive within the block."""
@@ -89,8 +95,8 @@ class Imu:
         if n:
             _force_at(truth.accel_b, truth.rate_ib_b, truth.rate_dot_b, truth.cg_b, self.position, force_b)
         temperature, warmth = self._temperature(truth.temperature[rows])
-        gyro_shake, _ = self._shakes[0].process(truth.rpm, rows, m)
-        accel_shake, rms2 = self._shakes[1].process(truth.rpm, rows, m)
+        gyro_shake, _ = self._gyro_shake.process(truth.rpm, rows, m)
+        accel_shake, rms2 = self._accel_shake.process(truth.rpm, rows, m)
         accel, clipped, accel_bias, force = self.accel.process(
             force_b, rows, slot, extra, accel_shake, None, rms2, warmth
         )

@@ -1,23 +1,23 @@
 """Magnetometer: the Earth's field as it really is, what the aircraft adds to it, and the errors of a triad.
 
-The real field differs from the World Magnetic Model by its stated uncertainty, one draw a flight for all suites; filters
-know the model. Soft iron is the triad's matrix, hard iron its turn-on bias (what calibration left of both). The current
-of the motor adds a field that grows with the throttle.
+The real field differs from the World Magnetic Model by its stated uncertainty, one draw a flight for all suites;
+filters know the model. Soft iron is the triad's matrix, hard iron its turn-on bias (what calibration left of both). The
+current of the motor adds a field that grows with the throttle.
 """
 
-import datetime
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.jit import njit
-from ahrs_sim.sensors.faults import Faults
-from ahrs_sim.sensors.grade import Grade, figure
+from ahrs_sim.sensors.errors import rms, white_sigma
+from ahrs_sim.sensors.fitting import Fitting
+from ahrs_sim.sensors.grade import figure
 from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import MagRecord, Record
-from ahrs_sim.sensors.signal import Clock, divider, nanoseconds
+from ahrs_sim.sensors.signal import Clock, nanoseconds
 from ahrs_sim.sensors.triad import Triad, TriadFigures
 from ahrs_sim.world import magnetic
 
@@ -37,26 +37,36 @@ class Magnetometer:
 
     records = ("mag",)
 
-    def __init__(
-        self, grade: Grade, stream: Callable[..., np.random.Generator], faults: Faults, *, dt: float,
-        mount: np.ndarray, turned: np.ndarray, epoch: datetime.datetime, world: np.random.Generator, where: str,
-    ) -> None:  # fmt: skip
-        f = self.figures = grade.figures("magnetometer", MagFigures)
-        every = divider(f.rate, dt, where)
-        self.period = every * dt
+    def __init__(self, fitting: Fitting) -> None:
+        f = self.figures = fitting.figures("magnetometer", MagFigures)
+        every = fitting.every(f.rate, "magnetometer")
+        self.period = every * fitting.dt
         self._clock = Clock(every)
-        self._faults = faults
-        self._epoch = epoch
-        self.triad = Triad(
-            f, lambda part: stream("magnetometer", part), faults.channel("magnetometer"),
-            dt=dt, every=every, mount=mount, turned=turned,
-        )  # fmt: skip
-        rng = stream("magnetometer", "aircraft")
+        self._faults = fitting.faults
+        self._epoch = fitting.epoch
+        self.triad = Triad("magnetometer", f, fitting, every)
+        rng = fitting.stream("magnetometer", "aircraft")
         self.motor_field = rng.standard_normal(3) * f.motor_field
         iron = rng.standard_normal((3, 3)) * f.soft_iron
         self.triad.matrix[:] = (np.eye(3) + 0.5 * (iron + iron.T)) @ self.triad.matrix
-        self.model_error = world.standard_normal(3) * f.model_error
-        self._outbox = Outbox(MagRecord, faults.channel("magnetometer"), 0.0)
+        self.model_error = fitting.world("magnetic field").standard_normal(3) * f.model_error
+        self._outbox = Outbox(MagRecord, fitting.channel("magnetometer"), 0.0)
+
+    def info(self) -> dict[str, Any]:
+        """What `SensorInfo` says of it."""
+        f = self.figures
+        return {
+            "mag_noise": rms(white_sigma(f.noise_density, 1.0 / self.period)),
+            "mag_bias": rms(f.turn_on_bias),
+            "mag_delay": self.triad.band.delay,
+        }
+
+    def drawn(self) -> dict[str, Any]:
+        """The truth of what was drawn, SI."""
+        return self.triad.drawn() | {
+            "magnetometer.motor_field": self.motor_field,
+            "magnetometer.model_error": self.model_error,
+        }
 
     def process(self, truth: Truth) -> dict[str, Record]:
         """Records that arrive within the block."""

@@ -27,13 +27,16 @@ class Outbox:
         self._last = np.iinfo(np.int64).min  # ns, latest arrival so far
 
     def post(self, records: Any, t: np.ndarray, now: float) -> Any:
-        """Send `records` of the slots at `t` (m,) s, whose `arrival_ns` is their slot; what has arrived by `now` (s)."""
-        touched = self._channel.deliver(t) if self._channel.message else None
-        if touched is None and not self._latency_ns:
-            if not len(self._waiting):
-                if len(records):
-                    self._last = max(self._last, int(records.arrival_ns[-1]))
-                return records
+        """Send `records` of the slots at `t` (m,) s, whose `arrival_ns` is their slot.
+
+        Returns:
+            What has arrived by `now` (s), of these and earlier ones.
+        """
+        touched = self._channel.deliver(t)
+        if touched is None and not self._latency_ns and not len(self._waiting):
+            if len(records):
+                self._last = max(self._last, int(records.arrival_ns[-1]))
+            return records
         if len(records):
             arrival = records.arrival_ns + self._latency_ns
             keep = np.ones(len(records), bool)
@@ -46,6 +49,10 @@ class Outbox:
                 self._last = int(arrival[-1])
                 kept = dataclasses.replace(records[keep], arrival_ns=arrival)
                 self._waiting = type(records).concatenate([self._waiting, kept]) if len(self._waiting) else kept
+        return self.wait(now)
+
+    def wait(self, now: float) -> Any:
+        """What has arrived by `now` (s)."""
         if not len(self._waiting):
             return self._empty
         there = int(np.searchsorted(self._waiting.arrival_ns, round(now * 1e9), side="right"))

@@ -21,6 +21,8 @@ class Record(Columns):
 
 @dataclass(frozen=True, slots=True)
 class ImuRecord(Record):
+    """Gyro and accelerometer."""
+
     gyro_b: np.ndarray = column(3)  # (n, 3) rad/s
     accel_b: np.ndarray = column(3)  # (n, 3) m/s2, specific force
     saturated: np.ndarray = column(dtype=bool)  # any axis at its range
@@ -37,12 +39,16 @@ class ImuErrorsRecord(Record):
 
 @dataclass(frozen=True, slots=True)
 class MagRecord(Record):
+    """Magnetometer."""
+
     mag_b: np.ndarray = column(3)  # (n, 3) T
     saturated: np.ndarray = column(dtype=bool)
 
 
 @dataclass(frozen=True, slots=True)
 class FixRecord(Record):
+    """GNSS position; NaN and `fix` -1 without a solution."""
+
     lla_deg: np.ndarray = column(3)  # (n, 3) deg, deg, m ellipsoidal (degrees: what NavSatFix stores)
     sigma: np.ndarray = column(3)  # (n, 3) m, NED, as the receiver reports it
     fix: np.ndarray = column(dtype=np.int8)  # NavSatStatus: -1 none, 0 fix, 2 RTK
@@ -51,11 +57,15 @@ class FixRecord(Record):
 
 @dataclass(frozen=True, slots=True)
 class VelocityRecord(Record):
+    """GNSS velocity; NaN without a solution."""
+
     vel_n: np.ndarray = column(3)  # (n, 3) m/s
 
 
 @dataclass(frozen=True, slots=True)
 class HeadingRecord(Record):
+    """Dual-antenna heading; NaN without a solution."""
+
     heading: np.ndarray = column()  # rad, true heading of the baseline
     sigma: np.ndarray = column()  # rad, as reported
     satellites: np.ndarray = column(dtype=np.uint8)
@@ -63,6 +73,8 @@ class HeadingRecord(Record):
 
 @dataclass(frozen=True, slots=True)
 class PressureRecord(Record):
+    """Static or differential pressure."""
+
     pressure: np.ndarray = column()  # Pa
 
 
@@ -86,4 +98,6 @@ class PhaseRecord(Record):
 
 
 SuiteBlock = dict[str, Record]
-"""One block of a suite: records by instrument: imu, imu_errors, mag, fix, velocity, heading, diff_pressure, static_pressure, air, interferometer."""
+"""One block of a suite, records by instrument: imu, imu_errors, mag, fix, velocity, heading, diff_pressure,
+static_pressure, air, interferometer.
+"""

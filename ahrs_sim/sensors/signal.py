@@ -112,6 +112,11 @@ def _band_limit(
     count[0] = now
 
 
+def pick(x: np.ndarray, rows: slice) -> np.ndarray:
+    """The sampled `rows` of `x`, contiguous: a kernel compiles once for each layout that it meets."""
+    return np.ascontiguousarray(x[rows])
+
+
 def rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
     """C_bs (3, 3): from the axes of a part turned by yaw, pitch, roll (rad, in this order) into those it sits in."""
     cr, sr, cp, sp, cy, sy = (f(x) for x in (roll, pitch, yaw) for f in (math.cos, math.sin))

@@ -11,19 +11,24 @@ gyro.noise_density_dps_rthz = 0.05   # any figure of the grade
 """
 
 import datetime
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
-from ahrs_sim import seeds
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.flight.truth import Event, Truth
 from ahrs_sim.scenario import Component
 from ahrs_sim.sensors import grade as grades
+from ahrs_sim.sensors.air_data import AirData, AirFigures
 from ahrs_sim.sensors.faults import make_faults
+from ahrs_sim.sensors.fitting import Fitting
+from ahrs_sim.sensors.gnss import Gnss, GnssFigures, Sky
 from ahrs_sim.sensors.grade import Grade, Section
+from ahrs_sim.sensors.heading import DualAntenna, HeadingFigures
 from ahrs_sim.sensors.imu import Imu, ImuFigures
+from ahrs_sim.sensors.interferometer import Interferometer, PhaseFigures
 from ahrs_sim.sensors.magnetometer import MagFigures, Magnetometer
 from ahrs_sim.sensors.records import Record, SuiteBlock
 from ahrs_sim.sensors.signal import rotation
@@ -38,10 +43,14 @@ SECTIONS: dict[str, Section] = {
     "accelerometer": Section(InertialFigures, "acceleration"),
     "motor": Section(MotorFigures),
     "magnetometer": Section(MagFigures, "field"),
+    "gnss": Section(GnssFigures),
+    "heading": Section(HeadingFigures),
+    "air_data": Section(AirFigures),
+    "interferometer": Section(PhaseFigures),
 }
 """The tables of a grade."""
 
-INSTRUMENTS = ("imu", "magnetometer")
+INSTRUMENTS = ("imu", "magnetometer", "gnss", "heading", "air_data", "interferometer")
 """What `instruments` can name; an instrument is there when the grade has its table."""
 
 
@@ -57,47 +66,33 @@ class Instrument(Protocol):
         """Records that arrive within the block, by name."""
         ...
 
+    def info(self) -> dict[str, Any]:
+        """What `SensorInfo` says of it, by field."""
+        ...
+
+    def drawn(self) -> dict[str, Any]:
+        """What was drawn for this flight, SI."""
+        ...
+
 
 class Suite:
-    """The instruments of one suite; made by `make_suite`."""
+    """The instruments of one unit; made by `make_suite`."""
 
-    def __init__(
-        self, component: Component, *, seed: int, dt: float, epoch: datetime.datetime, start_lla: np.ndarray,
-        faults: Sequence[Component],
-    ) -> None:  # fmt: skip
-        self.name = component.name
-        table = component.table()
-        name = table.text("grade")
-        self._position = table.vector("position_m", None)
-        mount = np.radians([table.number(f"{axis}_deg", 0.0) for axis in ("roll", "pitch", "yaw")])
-        error = np.radians(table.vector("mounting_error_deg", [0.0, 0.0, 0.0]))
-        wanted = table.value("instruments", None)
-        rate = table.number("rate_hz", None, above=0.0)
-        overrides = _with_rate(table.rest(), rate)
-        self.grade = grades.load(name, SECTIONS, overrides, component.where)
-        self.has = _choose(self.grade, wanted, table)
-        self._seed = seed
-        self._dt = dt
-        self._where = component.where
-        self.faults = make_faults(faults, suite=self.name, instruments=self.has, seed=seed)
-        turned = {"mount": rotation(*mount).T, "turned": rotation(*error).T}
-        self.imu = Imu(
-            self.grade, self._stream, self.faults, dt=dt, position=self._position, where=self._place("imu"), **turned
-        )
-        self._instruments: list[Instrument] = [self.imu]
-        self.magnetometer: Magnetometer | None = None
-        if "magnetometer" in self.has:
-            self.magnetometer = Magnetometer(
-                self.grade, self._stream, self.faults, dt=dt, epoch=epoch, where=self._place("magnetometer"),
-                world=seeds.generator(seed, "world", "magnetic field"), **turned,
-            )  # fmt: skip
-            self._instruments.append(self.magnetometer)
-
-    def _stream(self, *name: str) -> np.random.Generator:
-        return seeds.generator(self._seed, "suite", self.name, *name)
-
-    def _place(self, section: str) -> str:
-        return f"{self._where}: [{section}]"
+    def __init__(self, fitting: Fitting, has: Sequence[str]) -> None:
+        self.name = fitting.suite
+        self.grade = fitting.grade
+        self._faults = fitting.faults
+        imu = Imu(fitting)
+        sky = Sky(fitting.figures("gnss", GnssFigures), fitting.epoch, fitting.faults)
+        make: dict[str, Callable[[], Instrument]] = {
+            "imu": lambda: imu,
+            "magnetometer": lambda: Magnetometer(fitting),
+            "gnss": lambda: Gnss(fitting, sky, imu),
+            "heading": lambda: DualAntenna(fitting, sky),
+            "air_data": lambda: AirData(fitting),
+            "interferometer": lambda: Interferometer(fitting),
+        }
+        self._instruments = [make[name]() for name in has]
 
     @property
     def instruments(self) -> tuple[str, ...]:
@@ -106,7 +101,7 @@ class Suite:
 
     def process(self, truth: Truth) -> SuiteBlock:
         """What arrives from every instrument while `truth` happens; blocks of any length give the same records."""
-        self.faults.watch(truth.t)
+        self._faults.watch(truth.t)
         block: SuiteBlock = {}
         for instrument in self._instruments:
             block.update(instrument.process(truth))
@@ -114,56 +109,28 @@ class Suite:
 
     def take_events(self) -> list[Event]:
         """Faults that set in or ended since the last call."""
-        return self.faults.take_events()
+        return self._faults.take_events()
 
     @property
     def info(self) -> SensorInfo:
         """What the data sheets say: grade figures, nothing drawn."""
-        gyro, accel = self.imu.gyro, self.imu.accel
-        g, a = gyro.figures, accel.figures
-        values: dict[str, Any] = {
-            "rate": 1.0 / self.imu.period,
-            "gyro_noise": _rms(g.noise_density),
-            "gyro_bias": _rms(g.turn_on_bias),
-            "gyro_instability": _rms(g.bias_floor),
-            "gyro_scale": float(np.hypot(_rms(g.scale), np.hypot(g.misalignment, g.cross_axis))),
-            "accel_noise": _rms(a.noise_density),
-            "accel_bias": _rms(a.turn_on_bias),
-            "accel_scale": float(np.hypot(_rms(a.scale), np.hypot(a.misalignment, a.cross_axis))),
-            "gyro_delay": gyro.band.delay,
-            "accel_delay": accel.band.delay,
-        }
-        if self.magnetometer:
-            f = self.magnetometer.figures
-            values |= {
-                "mag_noise": _rms(f.noise_density) * float(np.sqrt(0.5 / self.magnetometer.period)),
-                "mag_bias": _rms(f.turn_on_bias),
-                "mag_delay": self.magnetometer.triad.band.delay,
-            }
+        values: dict[str, Any] = {}
+        for instrument in self._instruments:
+            values |= instrument.info()
         return SensorInfo(**values)
-
-    def specification(self) -> dict[str, str]:
-        """Effective figures with their sources, and what was drawn for this flight, as flat texts for the log."""
-        flat = {"grade": self.grade.name, "title": self.grade.title}
-        for section, entry in self.grade.rows():
-            value = " ".join(f"{x:g}" for x in np.atleast_1d(entry.value))
-            flat[f"{section}.{entry.key}"] = f"{value} ({entry.mark}: {entry.source})"
-        for key, drawn in self.drawn().items():
-            flat[f"drawn.{key}"] = " ".join(repr(float(x)) for x in np.ravel(drawn))
-        return flat
 
     def drawn(self) -> dict[str, np.ndarray]:
         """The truth of the errors that were drawn for this flight, SI, in the sensors' axes."""
-        values = {}
-        triads = {"gyro": self.imu.gyro, "accelerometer": self.imu.accel}
-        if self.magnetometer:
-            triads["magnetometer"] = self.magnetometer.triad
-            values["magnetometer.model_error"] = self.magnetometer.model_error
-            values["magnetometer.motor_field"] = self.magnetometer.motor_field
-        for name, triad in triads.items():
-            values[f"{name}.turn_on_bias"] = triad.turn_on
-            values[f"{name}.matrix"] = triad.matrix
-        return values
+        return {name: np.asarray(value) for i in self._instruments for name, value in i.drawn().items()}
+
+    def specification(self) -> dict[str, str]:
+        """Effective figures with their sources, and what was drawn for this flight, as flat texts for the log."""
+        flat = {"grade": self.grade.name, "title": self.grade.title, "instruments": " ".join(self.instruments)}
+        for section, entry in self.grade.rows():
+            flat[f"{section}.{entry.key}"] = f"{entry.text} ({entry.mark}: {entry.source})"
+        for name, value in self.drawn().items():
+            flat[f"drawn.{name}"] = " ".join(repr(float(x)) for x in value.ravel())
+        return flat
 
 
 def make_suite(
@@ -184,11 +151,29 @@ def make_suite(
     Raises:
         InputError: anything wrong in the table, its grade or its faults: where, which key, what to do.
     """
-    return Suite(component, seed=seed, dt=dt, epoch=epoch, start_lla=start_lla, faults=faults)
-
-
-def _rms(x: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(x))))
+    table = component.table()
+    name = table.text("grade")
+    position = table.vector("position_m", None)
+    roll, pitch, yaw = (math.radians(table.number(f"{axis}_deg", 0.0)) for axis in ("roll", "pitch", "yaw"))
+    error = np.radians(table.vector("mounting_error_deg", [0.0, 0.0, 0.0]))
+    wanted = table.value("instruments", None)
+    rate = table.number("rate_hz", None, above=0.0)
+    grade = grades.load(name, SECTIONS, _with_rate(table.rest(), rate), component.where)
+    has = _choose(grade, wanted, table)
+    fitting = Fitting(
+        suite=component.name,
+        grade=grade,
+        faults=make_faults(faults, suite=component.name, instruments=has, seed=seed),
+        seed=seed,
+        dt=dt,
+        epoch=epoch,
+        start_lla=start_lla,
+        position=position,
+        mount=rotation(roll, pitch, yaw).T,
+        turned=rotation(*error).T,
+        where=component.where,
+    )
+    return Suite(fitting, has)
 
 
 def _with_rate(overrides: dict[str, Any], rate: float | None) -> dict[str, Any]:
@@ -208,5 +193,5 @@ def _choose(grade: Grade, wanted: Any, table: Table) -> tuple[str, ...]:
         if name not in there:
             raise InputError(f"{table.where}: instruments: the grade has no '{name}'{nearest(name, there)}")
     if "imu" not in wanted:
-        raise table.error("instruments", "a suite needs its imu; add \"imu\"")
+        raise table.error("instruments", 'a suite needs its imu; add "imu"')
     return tuple(name for name in there if name in wanted)

@@ -10,14 +10,13 @@ with a the vibration's rms acceleration. S, M, k, G, v and the turn-on bias are 
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ahrs_sim.jit import njit
-from ahrs_sim.sensors.errors import White, in_run_bias, white_sigma
-from ahrs_sim.sensors.faults import Channel
+from ahrs_sim.sensors.errors import White, in_run_bias, rms, white_sigma
+from ahrs_sim.sensors.fitting import Fitting
 from ahrs_sim.sensors.grade import figure
 from ahrs_sim.sensors.signal import BandLimit
 
@@ -62,43 +61,48 @@ class Triad:
     """One three-axis sensor of a suite.
 
     Args:
+        name: its section of the grade, its channel of faults and the first part of its streams' names.
         figures: of its grade.
-        stream: gives the generator of a name below this sensor's.
-        channel: its faults.
-        dt: s between rows of the truth.
-        every: rows per sample.
-        mount: C_sb (3, 3), body to sensor axes, known to the unit.
-        turned: C (3, 3) from the axes it believes in to those it really has; identity when mounted true.
+        fitting: of its suite.
+        every: rows of the truth per sample.
         longest: s of additional delay that a sample may have (jitter).
     """
 
-    def __init__(
-        self, figures: TriadFigures, stream: Callable[[str], np.random.Generator], channel: Channel, *,
-        dt: float, every: int, mount: np.ndarray, turned: np.ndarray, longest: float = 0.0,
-    ) -> None:  # fmt: skip
+    def __init__(self, name: str, figures: TriadFigures, fitting: Fitting, every: int, longest: float = 0.0) -> None:
         f = self.figures = figures
-        self.channel = channel
-        self.period = dt * every
+        self.name = name
+        self.channel = fitting.channel(name)
+        self.period = fitting.dt * every
         rate = 1.0 / self.period
         corners = [c for c in (f.bandwidth, f.antialias * rate) if c > 0.0]
-        self.band = BandLimit(min(corners, default=0.0), f.delay, dt, every, longest)
+        self.band = BandLimit(min(corners, default=0.0), f.delay, fitting.dt, every, longest)
         # Every term draws whether it has a size or not: a grade's other figures leave its draws as they are.
-        rng = stream("turn-on")
+        rng = fitting.stream(name, "turn-on")
         self.turn_on = rng.standard_normal(3) * f.turn_on_bias
-        off_diagonal = math.tan(f.misalignment) * rng.standard_normal((3, 3)) + f.cross_axis * rng.standard_normal((3, 3))
-        np.fill_diagonal(off_diagonal, 1.0 + f.scale * rng.standard_normal(3))
-        self.matrix = off_diagonal
+        self.matrix = math.tan(f.misalignment) * rng.standard_normal((3, 3))
+        self.matrix += f.cross_axis * rng.standard_normal((3, 3))
+        np.fill_diagonal(self.matrix, 1.0 + f.scale * rng.standard_normal(3))
         finite = np.isfinite(f.range)
         self._square = rng.standard_normal(3) * f.non_linearity / np.where(finite, f.range, 1.0) * finite
         self._tempco = rng.standard_normal(3) * f.temperature_drift
         self._g_matrix = rng.standard_normal((3, 3)) * getattr(f, "g_sensitivity", 0.0)
         self._rectification = rng.standard_normal(3) * getattr(f, "vibration_rectification", np.zeros(3))
-        self._white = White(white_sigma(f.noise_density, rate), stream("white"))
-        self._in_run = in_run_bias(f.bias_floor, f.rate_random_walk, self.period, stream("in-run"))
+        self._white = White(white_sigma(f.noise_density, rate), fitting.stream(name, "white"))
+        self._in_run = in_run_bias(f.bias_floor, f.rate_random_walk, self.period, fitting.stream(name, "in-run"))
         # Whole quanta within the range, so that quantising what was clipped changes nothing more.
         self._limit = np.floor(f.range / f.quantum) * f.quantum if f.quantum > 0.0 else f.range
-        self._mount = np.ascontiguousarray(mount)
-        self._true_mount = np.ascontiguousarray(turned @ mount)
+        self._mount = np.ascontiguousarray(fitting.mount)
+        self._true_mount = np.ascontiguousarray(fitting.turned @ fitting.mount)
+
+    @property
+    def scale_sigma(self) -> float:
+        """One sigma for scale factor, misalignment and cross-axis sensitivity together, rad."""
+        f = self.figures
+        return math.sqrt(rms(f.scale) ** 2 + math.tan(f.misalignment) ** 2 + f.cross_axis**2)
+
+    def drawn(self) -> dict[str, np.ndarray]:
+        """The truth of what was drawn, SI, in the sensor's axes."""
+        return {f"{self.name}.turn_on_bias": self.turn_on, f"{self.name}.matrix": self.matrix}
 
     def process(
         self, u_b: np.ndarray, rows: slice, t: np.ndarray, extra: np.ndarray, added: np.ndarray | None = None,
@@ -147,14 +151,16 @@ def _triad(
     rectification: np.ndarray, tempco: np.ndarray, turn_on: np.ndarray, limit: np.ndarray, quantum: float,
     bias: np.ndarray, out: np.ndarray, saturated: np.ndarray,
 ) -> None:  # fmt: skip
-    """The equation at the head of this file, row by row; `bias` (m, 3) holds the in-run part and becomes the whole, in
-    body axes.
+    """The equation at the head of this file, row by row.
+
+    `bias` (m, 3) comes as the in-run part in sensor axes and leaves as the whole in body axes.
     """
     u, f, y, b = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in range(out.shape[0]):
         for k in range(3):
-            u[k] = true_mount[k, 0] * u_b[i, 0] + true_mount[k, 1] * u_b[i, 1] + true_mount[k, 2] * u_b[i, 2]
-            f[k] = true_mount[k, 0] * force_b[i, 0] + true_mount[k, 1] * force_b[i, 1] + true_mount[k, 2] * force_b[i, 2]
+            c0, c1, c2 = true_mount[k, 0], true_mount[k, 1], true_mount[k, 2]
+            u[k] = c0 * u_b[i, 0] + c1 * u_b[i, 1] + c2 * u_b[i, 2]
+            f[k] = c0 * force_b[i, 0] + c1 * force_b[i, 1] + c2 * force_b[i, 2]
         for k in range(3):
             b[k] = turn_on[k] + bias[i, k] + tempco[k] * warmth[i]
             v = matrix[k, 0] * u[0] + matrix[k, 1] * u[1] + matrix[k, 2] * u[2] + square[k] * u[k] * u[k]

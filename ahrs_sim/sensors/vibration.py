@@ -11,7 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ahrs_sim.jit import njit
+from ahrs_sim.sensors.fitting import Fitting
 from ahrs_sim.sensors.grade import figure
+from ahrs_sim.sensors.triad import InertialFigures
 
 
 @dataclass(frozen=True)
@@ -27,23 +29,22 @@ class Vibration:
 
     Args:
         motor: the motor's figures.
-        line: (3,) amplitude of harmonic 1.0 at the reference speed, in the sensor's unit.
-        band: (3,) rms of a sample at the reference speed.
+        figures: of the triad: `vibration_line`, `vibration_band`.
         cutoff: Hz of the sensor's low-pass, 0: none.
-        dt: s between rows of the truth.
-        every: rows per sample.
-        rng: its own generator: phases of the lines, then the band.
+        fitting: of its suite.
+        every: rows of the truth per sample.
+        name: of the triad: its generator gives the phases of the lines, then the band.
     """
 
     def __init__(
-        self, motor: MotorFigures, line: np.ndarray, band: np.ndarray, cutoff: float, dt: float, every: int,
-        rng: np.random.Generator,
-    ) -> None:  # fmt: skip
-        self._amplitudes = np.outer(motor.harmonics, line)
-        self._band = np.asarray(band, float)
+        self, motor: MotorFigures, figures: InertialFigures, cutoff: float, fitting: Fitting, every: int, name: str
+    ) -> None:
+        rng = fitting.stream(name, "vibration")
+        self._amplitudes = np.outer(motor.harmonics, figures.vibration_line)
+        self._band = figures.vibration_band
         self._phases = rng.uniform(0.0, 2.0 * math.pi, (3, 3))
         self._state = np.zeros(1)
-        self._numbers = (motor.reference, cutoff, dt, every)
+        self._numbers = (motor.reference, cutoff, fitting.dt, every)
         self._rng = rng
         self.silent = not (self._amplitudes.any() or self._band.any())
 

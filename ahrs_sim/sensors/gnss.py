@@ -1,0 +1,186 @@
+"""GNSS receiver: position and velocity of its antenna, late, at its own rate, while it has satellites enough.
+
+    position = antenna + wander (Gauss-Markov) + white,    velocity = antenna's velocity + wander + white
+    antenna  = CG + C_nb r,    its velocity = v + C_nb (w x r)
+
+Below four satellites a message says "no fix" and holds NaN; after that a receiver needs its time to find them again.
+"""
+
+import datetime
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ahrs_sim.flight.truth import Truth
+from ahrs_sim.jit import njit
+from ahrs_sim.sensors.errors import White, gauss_markov, rms
+from ahrs_sim.sensors.faults import Faults
+from ahrs_sim.sensors.fitting import Fitting
+from ahrs_sim.sensors.grade import figure
+from ahrs_sim.sensors.imu import Imu
+from ahrs_sim.sensors.outbox import Outbox
+from ahrs_sim.sensors.records import FixRecord, Record, VelocityRecord
+from ahrs_sim.sensors.signal import Clock, nanoseconds, pick
+from ahrs_sim.world import satellites
+from ahrs_sim.world.wgs84 import E2, A
+
+
+@dataclass(frozen=True)
+class GnssFigures:
+    """A receiver; sigmas are north, east, down."""
+
+    rate: float = figure("frequency", 5.0, minimum=0.01)
+    latency: float = figure("time", minimum=0.0)
+    fix_type: float = figure("number", 0.0)  # NavSatStatus of a good fix: 0 single point, 1 SBAS, 2 RTK
+    position_noise: np.ndarray = figure("length", size=3, minimum=0.0)  # 1 sigma, white
+    position_wander: np.ndarray = figure("length", size=3, minimum=0.0)  # 1 sigma, Gauss-Markov
+    velocity_noise: np.ndarray = figure("speed", size=3, minimum=0.0)
+    velocity_wander: np.ndarray = figure("speed", size=3, minimum=0.0)
+    wander_time: float = figure("time", 60.0, minimum=1e-3)  # correlation time
+    antenna: np.ndarray = figure("length", size=3)  # from the inertial unit, FRD
+    mask: float = figure("angle", math.radians(10.0))  # elevation above the horizon
+    shadow: float = figure("angle", 0.0)  # elevation above the wings that the airframe hides
+    reacquisition: float = figure("time", minimum=0.0)  # from satellites enough to a fix, after a loss
+
+
+class Sky:
+    """Satellites received by the antennas of one suite."""
+
+    def __init__(self, figures: GnssFigures, epoch: datetime.datetime, faults: Faults) -> None:
+        self._figures = figures
+        self._offset = satellites.seconds_since_epoch(epoch)
+        self._faults = faults
+
+    def count(self, t: np.ndarray, lla: np.ndarray, q_nb: np.ndarray) -> np.ndarray:
+        """Number (m,) at `t` (m,) s, `lla` (m, 3), `q_nb` (m, 4)."""
+        f = self._figures
+        seen = satellites.in_view(self._offset + t, lla, q_nb, f.mask, f.shadow)
+        return np.asarray(np.minimum(seen, self._faults.most_satellites(t)))
+
+
+class Lock:
+    """Whether a receiver has what it needs: lost at once, had again after a while."""
+
+    def __init__(self, least: int, wait: float, period: float) -> None:
+        self._least = least
+        self._wait = round(wait / period)
+        self._left = 0  # samples still to wait
+
+    def process(self, count: np.ndarray) -> np.ndarray:
+        """Mask (m,) of samples with a solution, from the number of satellites."""
+        good = np.empty(len(count), bool)
+        for i, n in enumerate(count.tolist()):
+            if n < self._least:
+                self._left = self._wait
+                good[i] = False
+            else:
+                good[i] = self._left == 0
+                self._left = max(self._left - 1, 0)
+        return good
+
+
+class Gnss:
+    """The receiver of a suite: gives records `fix` and `velocity`, both of one instant."""
+
+    records = ("fix", "velocity")
+
+    def __init__(self, fitting: Fitting, sky: Sky, imu: Imu) -> None:
+        f = self.figures = fitting.figures("gnss", GnssFigures)
+        every = fitting.every(f.rate, "gnss")
+        self.period = every * fitting.dt
+        self._clock = Clock(every)
+        self._imu = imu
+        self._sky = sky
+        self._lock = Lock(4, f.reacquisition, self.period)
+        self._position = fitting.channel("position")
+        self._velocity = fitting.channel("velocity")
+        self._noise = [
+            (White(f.position_noise, fitting.stream("gnss", "position white")),
+             gauss_markov(f.position_wander, f.wander_time, self.period, fitting.stream("gnss", "position wander"))),
+            (White(f.velocity_noise, fitting.stream("gnss", "velocity white")),
+             gauss_markov(f.velocity_wander, f.wander_time, self.period, fitting.stream("gnss", "velocity wander"))),
+        ]  # fmt: skip
+        self.sigma = np.sqrt(f.position_noise**2 + f.position_wander**2)
+        self._fixes = Outbox(FixRecord, self._position, f.latency)
+        self._velocities = Outbox(VelocityRecord, self._velocity, f.latency)
+
+    def info(self) -> dict[str, Any]:
+        """What `SensorInfo` says of it."""
+        f = self.figures
+        return {
+            "gnss_pos": rms(self.sigma),
+            "gnss_vel": float(np.hypot(rms(f.velocity_noise), rms(f.velocity_wander))),
+            "antenna_b": tuple(f.antenna.tolist()),
+        }
+
+    def drawn(self) -> dict[str, Any]:
+        """The truth of what was drawn: nothing."""
+        return {}
+
+    def process(self, truth: Truth) -> dict[str, Record]:
+        """Records that arrive within the block."""
+        n = len(truth)
+        now = truth.t[-1] if n else 0.0
+        rows = self._clock.rows(n)
+        t = truth.t[rows]
+        m = len(t)
+        if not m:
+            return {"fix": self._fixes.wait(now), "velocity": self._velocities.wait(now)}
+        lla, q_nb = pick(truth.lla, rows), pick(truth.q_nb, rows)
+        count = self._sky.count(t, lla, q_nb)
+        errors = []
+        for (white, wander), channel in zip(self._noise, (self._position, self._velocity), strict=True):
+            noise = white.process(m)
+            if channel.shaping:
+                channel.shape(t, noise, np.full((m, 3), np.inf))
+            errors.append(noise + wander.process(m))
+        antenna = self._imu.position + self.figures.antenna - truth.cg_b[rows]
+        lla_deg, vel_n = np.empty((m, 3)), np.empty((m, 3))
+        vel, rate = pick(truth.vel_n, rows), pick(truth.rate_ib_b, rows)
+        _antenna(lla, vel, q_nb, rate, antenna, *errors, lla_deg, vel_n)
+        lost = ~self._lock.process(count)
+        lla_deg[lost] = vel_n[lost] = np.nan
+        sigma = np.where(lost[:, None], np.nan, self.sigma)
+        fix = np.where(lost, -1, int(self.figures.fix_type)).astype(np.int8)
+        self._position.send(t, lla_deg)
+        self._velocity.send(t, vel_n)
+        ns = nanoseconds(t)
+        fixes = FixRecord(ns, ns, lla_deg, sigma, fix, count.astype(np.uint8))
+        return {
+            "fix": self._fixes.post(fixes, t, now),
+            "velocity": self._velocities.post(VelocityRecord(ns, ns, vel_n), t, now),
+        }
+
+
+@njit
+def _antenna(
+    lla: np.ndarray, vel_n: np.ndarray, q_nb: np.ndarray, rate: np.ndarray, arm: np.ndarray, position_error: np.ndarray,
+    velocity_error: np.ndarray, lla_deg: np.ndarray, out_vel: np.ndarray,
+) -> None:  # fmt: skip
+    """Antenna's place (deg, deg, m) and velocity, `arm` (m, 3) from the CG in body axes, errors in NED.
+
+    The rate is inertial: the Earth's turning of the arm, 1e-4 m/s for a metre, is left in.
+    """
+    deg = 180.0 / math.pi
+    for i in range(lla.shape[0]):
+        a, b, c, d = q_nb[i, 0], q_nb[i, 1], q_nb[i, 2], q_nb[i, 3]
+        x, y, z = arm[i, 0], arm[i, 1], arm[i, 2]
+        p, q, r = rate[i, 0], rate[i, 1], rate[i, 2]
+        u, v, w = q * z - r * y, r * x - p * z, p * y - q * x
+        c00, c01, c02 = a * a + b * b - c * c - d * d, 2.0 * (b * c - a * d), 2.0 * (b * d + a * c)
+        c10, c11, c12 = 2.0 * (b * c + a * d), a * a - b * b + c * c - d * d, 2.0 * (c * d - a * b)
+        c20, c21, c22 = 2.0 * (b * d - a * c), 2.0 * (c * d + a * b), a * a - b * b - c * c + d * d
+        out_vel[i, 0] = vel_n[i, 0] + (c00 * u + c01 * v + c02 * w) + velocity_error[i, 0]
+        out_vel[i, 1] = vel_n[i, 1] + (c10 * u + c11 * v + c12 * w) + velocity_error[i, 1]
+        out_vel[i, 2] = vel_n[i, 2] + (c20 * u + c21 * v + c22 * w) + velocity_error[i, 2]
+        north = c00 * x + c01 * y + c02 * z + position_error[i, 0]
+        east = c10 * x + c11 * y + c12 * z + position_error[i, 1]
+        below = c20 * x + c21 * y + c22 * z + position_error[i, 2]
+        s = math.sin(lla[i, 0])
+        w2 = 1.0 - E2 * s * s
+        prime = A / math.sqrt(w2)
+        lla_deg[i, 0] = (lla[i, 0] + north / (prime * (1.0 - E2) / w2 + lla[i, 2])) * deg
+        lla_deg[i, 1] = (lla[i, 1] + east / ((prime + lla[i, 2]) * math.cos(lla[i, 0]))) * deg
+        lla_deg[i, 2] = lla[i, 2] - below
