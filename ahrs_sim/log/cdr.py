@@ -1,15 +1,16 @@
 """ROS 2 message definitions and their binary form (CDR), whole columns at a time.
 
-A definition is the text of a `.msg` file with those of its dependencies behind it, as an MCAP log carries it. From it follow
+A definition is the text of a `.msg` file with those of its dependencies behind it, as an MCAP log carries it. From it
+follow
 
     parse_definitions   what fields a message has
     encode              one message as bytes, and where in them each number lives: a template for thousands alike
     decode              many messages at once into one structured NumPy array
 
-Nearly all messages of a channel differ in their numbers only: the same strings, the same array lengths, so the same places. `decode`
-reads each field of all of them with one strided copy, and falls into groups where a length differs.
+Nearly all messages of a channel differ in their numbers only: the same strings, the same array lengths, so the same
+places. `decode` reads each field of all of them with one strided copy, and falls into groups where a length differs.
 
-Plain old CDR as every ROS 2 middleware writes it: 4 bytes of header, then each value aligned to its own size (at most 8)
+Plain CDR as every ROS 2 middleware writes it: 4 bytes of header, then each value aligned to its own size (at most 8),
 counted from behind the header; strings as length with NUL, NUL-terminated; sequences as length, then elements.
 """
 
@@ -156,7 +157,8 @@ def _leaves(definitions: Definitions, name: str, seen: dict[str, int]) -> int:
 def message_dtype(definitions: Definitions, name: str) -> np.dtype[Any]:
     """The NumPy type that `decode` returns for a message type: nested like the message, whatever the bytes.
 
-    Numbers and fixed arrays of them as they are, strings as `str` objects, sequences as objects holding one array per message.
+    Numbers and fixed arrays of them as they are, strings as `str` objects, sequences as objects holding one array per
+    message.
     """
     columns: list[tuple[Any, ...]] = []
     for field in definitions[short_name(name)]:
@@ -302,13 +304,16 @@ class _Encoder:
 
 
 def encode(definitions: Definitions, name: str, value: Mapping[str, Any]) -> tuple[bytes, dict[str, Place]]:
-    """One message as CDR, and the place of every number in it by dotted path (`twist.twist.linear`, `transforms.0.transform.rotation`).
+    """One message as CDR, and the place of every number in it.
 
     Args:
         definitions: from `parse_definitions`.
         name: type of the message.
-        value: fields as nested mappings; what is missing is zero or empty. A vector is given as (3,), a quaternion as (4,)
-            scalar first, a time as int ns.
+        value: fields as nested mappings; what is missing is zero or empty. A vector is given as (3,), a quaternion as
+            (4,) scalar first, a time as int ns.
+
+    Returns:
+        The bytes, and places by dotted path (`twist.twist.linear`, `transforms.0.transform.rotation`).
 
     Raises:
         ValueError: an unknown field, or a value whose shape does not fit.

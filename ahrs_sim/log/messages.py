@@ -1,7 +1,7 @@
 """The messages of our logs: standard ROS 2 types where they exist, `ahrs_sim_msgs` with fixed arrays for the rest.
 
-To add a type, write its definition into `_DEFINITIONS`, one field a line with unit and frame as comment: the comment travels in every
-log's schema and into `logs/README.md`.
+To add a type, write its definition into `_DEFINITIONS`, one field a line with unit and frame as comment: the comment
+travels in every log's schema and into `logs/README.md`.
 """
 
 import functools
@@ -144,6 +144,10 @@ MSG: ahrs_sim_msgs/SensorStatus
 std_msgs/Header header
 bool saturated # an axis is at the end of its range
 uint8 satellites # in use; 0 for instruments that need none
+MSG: ahrs_sim_msgs/ImuErrors
+std_msgs/Header header
+geometry_msgs/Vector3 gyro_bias # rad/s, FRD, true bias of the gyro
+geometry_msgs/Vector3 accel_bias # m/s2, FRD, true bias of the accelerometer
 MSG: ahrs_sim_msgs/EstimatorState
 std_msgs/Header header
 uint8 ALIGNING=0

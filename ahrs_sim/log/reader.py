@@ -6,8 +6,8 @@
         for block in log.blocks(["/truth/imu", "/est/ekf-chr/state"]):      # bounded memory, in order of log time
             ...
 
-Lengths and offsets in a file are not trusted: each is checked against what is there before anything is allocated, and what is
-wrong is one `InputError` naming the file.
+Lengths and offsets in a file are not trusted: each is checked against what is there before anything is allocated, and
+what is wrong is one `InputError` naming the file.
 """
 
 import functools
@@ -54,7 +54,7 @@ MAX_CHUNK = 256 << 20
 _FOOTER = RECORD_HEAD.size + 20
 _CHUNK_HEAD = struct.Struct("<QQQI")  # start, end, uncompressed size, checksum
 _PIECE = 8 << 20  # of an unchunked file, at a time
-_BATCH = 16 << 20  # messages decoded together
+_BATCH = 2 << 20  # messages decoded together
 _PORTION = 2 << 20  # messages given out together
 _SMALL = 64  # bytes: no record of interest is shorter than a message's head
 
@@ -221,7 +221,8 @@ class LogReader:
         """
         for index in self._contents.attachments:
             if index.name == name:
-                return self._indexed(index, Opcode.ATTACHMENT, Attachment.read).data
+                item: Attachment = self._indexed(index, Opcode.ATTACHMENT, Attachment.read)
+                return item.data
         raise InputError(f"{self.path}: no attachment '{name}'{nearest(name, self.attachments)}")
 
     def dtype(self, topic: str) -> np.dtype[Any]:
@@ -235,7 +236,9 @@ class LogReader:
     # ------------------------------------------------------------------------------------------- messages
 
     @overload
-    def read(self, topics: str, start: int | None = None, end: int | None = None) -> np.ndarray: ...
+    def read(  # type: ignore[overload-overlap]  # a str is meant as one topic
+        self, topics: str, start: int | None = None, end: int | None = None
+    ) -> np.ndarray: ...
     @overload
     def read(
         self, topics: Sequence[str], start: int | None = None, end: int | None = None
@@ -260,12 +263,19 @@ class LogReader:
         if isinstance(topics, str):
             return self.read([topics], start, end)[topics]
         plans = {topic: self._plan(topic) for topic in topics}
-        return self._guard(
-            lambda: {t: _sorted(parts, self._dtype(plans[t])) for t, parts in self._collect(plans, start, end).items()}
-        )
+
+        def action() -> dict[str, np.ndarray]:
+            rows = {number: _Rows() for number in _numbers(plans)}
+            for piece in self._chosen(plans, start, end):
+                self._gather(piece, rows, start, end)
+            return {topic: _in_order(self._decoded(numbers, rows)) for topic, numbers in plans.items()}
+
+        return self._guard(action)
 
     @overload
-    def blocks(self, topics: str, start: int | None = None, end: int | None = None) -> Iterator[np.ndarray]: ...
+    def blocks(  # type: ignore[overload-overlap]
+        self, topics: str, start: int | None = None, end: int | None = None
+    ) -> Iterator[np.ndarray]: ...
     @overload
     def blocks(
         self, topics: Sequence[str], start: int | None = None, end: int | None = None
@@ -275,8 +285,8 @@ class LogReader:
     ) -> Iterator[np.ndarray] | Iterator[dict[str, np.ndarray]]:
         """As `read`, portion by portion in memory that does not grow with the file.
 
-        Log times of a portion are not before those of the one before it. With several topics each portion has all of them, some maybe
-        empty.
+        Log times of a portion are not before those of the one before it. With several topics each portion has all of
+        them, some maybe empty.
         """
         if isinstance(topics, str):
             return (block[topics] for block in self._blocks({topics: self._plan(topics)}, start, end))
@@ -285,30 +295,28 @@ class LogReader:
     def _blocks(
         self, plans: dict[str, list[int]], start: int | None, end: int | None
     ) -> Iterator[dict[str, np.ndarray]]:
-        wanted = _numbers(plans)
         pieces = self._chosen(plans, start, end)
-        held: dict[str, list[np.ndarray]] = {topic: [] for topic in plans}
-        batch: list[Messages] = []
-        size = 0
+        held = {topic: np.empty(0, self._dtype(numbers)) for topic, numbers in plans.items()}
+        rows = {number: _Rows() for number in _numbers(plans)}
         for i, piece in enumerate(pieces):
             last = i == len(pieces) - 1
-            batch.append(self._guard(lambda p=piece: _extract(self._load(p, wanted))))  # type: ignore[misc]
-            size += batch[-1].data.size
-            if not last and size < _PORTION:
+            self._guard(functools.partial(self._gather, piece, rows, start, end))
+            if not last and sum(r.size for r in rows.values()) < _PORTION:
                 continue
-            arrays = self._guard(lambda b=batch: self._decode(plans, b, start, end))  # type: ignore[misc]
-            batch, size = [], 0
             ready = {}
-            for topic, array in arrays.items():
-                merged = _sorted([*held[topic], array], self._dtype(plans[topic]))
+            for topic, numbers in plans.items():
+                array = self._guard(functools.partial(self._decoded, numbers, rows))
+                if len(held[topic]):
+                    array = np.concatenate([held[topic], array])
+                array = _in_order(array)
                 # Pieces may overlap: what the next one could still precede has to wait.
-                cut = len(merged) if last else int(np.searchsorted(merged["log_time"], pieces[i + 1].start, "left"))
-                ready[topic], held[topic] = merged[:cut], [merged[cut:]]
+                cut = len(array) if last else int(np.searchsorted(array["log_time"], pieces[i + 1].start, "left"))
+                ready[topic], held[topic] = array[:cut], array[cut:]
             if any(len(array) for array in ready.values()):
                 yield ready
 
     def frame(self, topic: str, start: int | None = None, end: int | None = None) -> "pandas.DataFrame":
-        """One topic as a pandas frame: one column a number (`angular_velocity.x`, `covariance.0`), index in time of arrival.
+        """One topic as a pandas frame: a column for each number (`angular_velocity.x`, `innovation.0`), index log time.
 
         Raises:
             InputError: as `read`.
@@ -369,70 +377,48 @@ class LogReader:
         ]
         return sorted(chosen, key=lambda p: p.start)
 
-    def _collect(self, plans: dict[str, list[int]], start: int | None, end: int | None) -> dict[str, list[np.ndarray]]:
-        parts: dict[str, list[np.ndarray]] = {topic: [] for topic in plans}
-        batch: list[Messages] = []
-        size = 0
-        wanted = _numbers(plans)
-        pieces = self._chosen(plans, start, end)
-        for i, piece in enumerate(pieces):
-            # Take out the records of interest at once, so that no more than one chunk is held whole.
-            batch.append(_extract(self._load(piece, wanted)))
-            size += batch[-1].data.size
-            if size > _BATCH or i == len(pieces) - 1:
-                for topic, array in self._decode(plans, batch, start, end).items():
-                    parts[topic].append(array)
-                batch, size = [], 0
-        return parts
+    def _gather(self, piece: Piece, rows: "dict[int, _Rows]", start: int | None, end: int | None) -> None:
+        """Add the messages of a piece to the rows of their channels."""
+        data, offsets = self._load(piece, set(rows))
+        present = [number for number, places in offsets.items() if len(places)]
+        if not present:
+            return
+        places = np.concatenate([offsets[number] for number in present])
+        counts = [len(offsets[number]) for number in present]
+        heads = message_heads(data, places, np.repeat(present, counts))
+        sizes = heads["length"].astype(np.int64) + RECORD_HEAD.size
+        times = heads["log_time"].astype(np.int64)
+        keep = np.ones(len(times), bool)
+        if start is not None:
+            keep &= times >= start
+        if end is not None:
+            keep &= times < end
+        at = 0
+        for number, n in zip(present, counts, strict=True):
+            chosen = slice(at, at + n)
+            at += n
+            if keep[chosen].all():
+                rows[number].add(data, places[chosen], sizes[chosen])
+            else:
+                kept = keep[chosen]
+                rows[number].add(data, places[chosen][kept], sizes[chosen][kept])
 
-    def _decode(
-        self, plans: dict[str, list[int]], batch: list[Messages], start: int | None, end: int | None
-    ) -> dict[str, np.ndarray]:
-        """The messages in `batch` as structured arrays by topic, in the order of the file."""
-        decoded = {}
-        for topic, numbers in plans.items():
-            dtype = self._dtype(numbers)
-            arrays = [self._decode_channel(n, dtype, batch, start, end) for n in numbers]
-            decoded[topic] = arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
-        return decoded
-
-    def _decode_channel(
-        self, number: int, dtype: np.dtype[Any], batch: list[Messages], start: int | None, end: int | None
-    ) -> np.ndarray:
-        rows_by_size: dict[
-            int, list[tuple[np.ndarray, np.ndarray]]
-        ] = {}  # records and their places in the order of the file
-        total = 0
-        for data, by_channel in batch:
-            offsets = by_channel.get(number)
-            if offsets is None or not len(offsets):
-                continue
-            heads = message_heads(data, offsets, number)
-            times = heads["log_time"].astype(np.int64)
-            keep = np.ones(len(times), bool)
-            if start is not None:
-                keep &= times >= start
-            if end is not None:
-                keep &= times < end
-            sizes = heads["length"].astype(np.int64) + RECORD_HEAD.size
-            places = total + np.cumsum(keep) - 1
-            total += int(keep.sum())
-            for size in np.unique(sizes[keep]):
-                chosen = keep & (sizes == size)
-                rows_by_size.setdefault(int(size), []).append((_rows(data, offsets[chosen], int(size)), places[chosen]))
-        out = np.empty(total, dtype)
-        name = self._type_name(number)
-        head = MESSAGE_HEAD.size
-        for found in rows_by_size.values():
-            rows = np.concatenate([r for r, _ in found]) if len(found) > 1 else found[0][0]
-            places = np.concatenate([p for _, p in found]) if len(found) > 1 else found[0][1]
-            whole = len(rows) == total
-            part = out if whole else np.empty(len(rows), dtype)
-            part["log_time"] = _head_view(rows)["log_time"]
-            decode(self._definitions[number], name, np.ascontiguousarray(rows[:, head:]), part)
-            if not whole:
-                out[places] = part
-        return out
+    def _decoded(self, numbers: list[int], rows: "dict[int, _Rows]") -> np.ndarray:
+        """The messages gathered of some channels of one topic, in the order of the file; the rows are used up."""
+        dtype = self._dtype(numbers)
+        arrays = []
+        for number in numbers:
+            gathered, rows[number] = rows[number], _Rows()
+            out = np.empty(gathered.count, dtype)
+            for part, places in gathered.batches():
+                into = out[places] if isinstance(places, slice) else np.empty(len(part), dtype)
+                into["log_time"] = _head_view(part)["log_time"]
+                payload = np.ascontiguousarray(part[:, MESSAGE_HEAD.size :])
+                decode(self._definitions[number], self._type_name(number), payload, into)
+                if not isinstance(places, slice):
+                    out[places] = into
+            arrays.append(out)
+        return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
     # ------------------------------------------------------------------------------------------- the file
 
@@ -440,7 +426,7 @@ class LogReader:
         """Run `action`; whatever damage it meets becomes one `InputError`."""
         try:
             return action()
-        except (Damaged, CdrError, McapError, struct.error, UnicodeDecodeError, OverflowError) as error:
+        except (Damaged, CdrError, struct.error, UnicodeDecodeError, OverflowError) as error:
             reason = str(error) or type(error).__name__
             raise InputError(f"{self.path}: damaged: {reason}; 'ahrs-sim recover' saves what is whole") from None
         except OSError as error:
@@ -475,7 +461,8 @@ class LogReader:
         opcode, length = RECORD_HEAD.unpack(self._at(len(MAGIC), RECORD_HEAD.size))
         if opcode != Opcode.HEADER:
             raise Damaged("no header")
-        return parse(Header.read, self._at(len(MAGIC) + RECORD_HEAD.size, length))
+        header: Header = parse(Header.read, self._at(len(MAGIC) + RECORD_HEAD.size, length))
+        return header
 
     def _summary(self, footer: Footer, end: bytes, header: Header) -> Contents | None:
         """The contents as the summary states them; None when it does not state enough."""
@@ -748,8 +735,15 @@ def register(contents: Contents, opcode: int, body: bytes) -> None:
 
 
 def parse(read: Callable[[ReadDataStream], T], body: bytes) -> T:
-    """A record from its content."""
-    return read(ReadDataStream(BytesIO(body)))
+    """A record from its content.
+
+    Raises:
+        Damaged: the content is not that of such a record.
+    """
+    try:
+        return read(ReadDataStream(BytesIO(body)))
+    except (McapError, struct.error, UnicodeDecodeError, OverflowError, MemoryError) as error:
+        raise Damaged(f"a record cannot be understood ({str(error) or type(error).__name__})") from None
 
 
 _HEAD_TYPE = np.dtype(
@@ -768,18 +762,23 @@ def _head_view(rows: np.ndarray) -> np.ndarray:
 
 def _rows(data: np.ndarray, offsets: np.ndarray, size: int) -> np.ndarray:
     """Copy of `size` bytes at each offset, (n, size); the caller has checked that they are inside."""
-    return np.lib.stride_tricks.as_strided(data, (data.size - size + 1, size), (1, 1))[offsets]
+    copy: np.ndarray = np.ndarray((data.size - size + 1, size), np.uint8, data, 0, (1, 1))[offsets]
+    return copy
 
 
-def message_heads(data: np.ndarray, offsets: np.ndarray, channel: int) -> np.ndarray:
-    """Heads of the messages at `offsets`, checked to be that and to lie inside."""
+def message_heads(data: np.ndarray, offsets: np.ndarray, channel: int | np.ndarray) -> np.ndarray:
+    """Heads of the messages of a channel at `offsets`, checked to be that and to lie inside.
+
+    Raises:
+        Damaged: they are not.
+    """
     last = data.size - MESSAGE_HEAD.size
     if offsets.min() < 0 or offsets.max() > last:
         raise Damaged("a message lies outside of its chunk")
     heads = _head_view(_rows(data, offsets, MESSAGE_HEAD.size))
     ends = heads["length"] + np.uint64(RECORD_HEAD.size)
     if (heads["opcode"] != Opcode.MESSAGE).any() or (heads["channel"] != channel).any():
-        raise Damaged(f"an index of channel {channel} points elsewhere")
+        raise Damaged("a message index points elsewhere")
     if (heads["length"] < MESSAGE_HEAD.size - RECORD_HEAD.size).any() or (heads["length"] > data.size).any():
         raise Damaged("a message is longer than its chunk")
     if (offsets + ends.astype(np.int64) > data.size).any():
@@ -787,34 +786,54 @@ def message_heads(data: np.ndarray, offsets: np.ndarray, channel: int) -> np.nda
     return heads
 
 
-def _extract(messages: Messages) -> Messages:
-    """Only the records that are pointed at, so that the rest of the chunk can go."""
-    parts, offsets, at = [], {}, 0
-    for channel, places in messages.offsets.items():
-        if not len(places):
-            continue
-        sizes = message_heads(messages.data, places, channel)["length"].astype(np.int64) + RECORD_HEAD.size
-        if (sizes == sizes[0]).all():
-            part = _rows(messages.data, places, int(sizes[0])).ravel()
-        else:
-            part = np.concatenate([messages.data[p : p + s] for p, s in zip(places, sizes, strict=True)])
-        offsets[channel] = at + np.cumsum(sizes) - sizes
-        parts.append(part)
-        at += part.size
-    return Messages(np.concatenate(parts) if parts else np.empty(0, np.uint8), offsets)
-
-
 def _numbers(plans: dict[str, list[int]]) -> set[int]:
     return {number for numbers in plans.values() for number in numbers}
 
 
-def _sorted(parts: list[np.ndarray], dtype: np.dtype[Any]) -> np.ndarray:
-    """One array, sorted by log time."""
-    if not parts:
-        return np.empty(0, dtype)
-    array = parts[0] if len(parts) == 1 else np.concatenate(parts)
-    times = array["log_time"]
+def _in_order(array: np.ndarray) -> np.ndarray:
+    """Sorted by log time, equal times as they were."""
+    times = np.ascontiguousarray(array["log_time"])
     return array if (times[1:] >= times[:-1]).all() else array[np.argsort(times, kind="stable")]
+
+
+class _Rows:
+    """Messages of one channel, as rows of bytes."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.size = 0  # bytes
+        self._by_size: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}  # rows and which messages they are
+
+    def add(self, data: np.ndarray, offsets: np.ndarray, sizes: np.ndarray) -> None:
+        """Copy the records at `offsets` of `data`."""
+        if not len(offsets):
+            return
+        which = np.arange(self.count, self.count + len(offsets))
+        self.count += len(offsets)
+        self.size += int(sizes.sum())
+        if (sizes == sizes[0]).all():
+            self._by_size.setdefault(int(sizes[0]), []).append((_rows(data, offsets, int(sizes[0])), which))
+            return
+        for size in np.unique(sizes):
+            same = sizes == size
+            self._by_size.setdefault(int(size), []).append((_rows(data, offsets[same], int(size)), which[same]))
+
+    def batches(self) -> Iterator[tuple[np.ndarray, np.ndarray | slice]]:
+        """Rows of equal size in handy portions, and which messages they are; used up."""
+        uniform = len(self._by_size) == 1
+        for parts in self._by_size.values():
+            parts.reverse()
+            while parts:
+                batch = [parts.pop()]
+                size = batch[0][0].size
+                while parts and size < _BATCH:
+                    batch.append(parts.pop())
+                    size += batch[-1][0].size
+                rows = batch[0][0] if len(batch) == 1 else np.concatenate([r for r, _ in batch])
+                if uniform:
+                    yield rows, slice(int(batch[0][1][0]), int(batch[-1][1][-1]) + 1)
+                else:
+                    yield rows, np.concatenate([which for _, which in batch])
 
 
 # ----------------------------------------------------------------------------------------------- columns
@@ -833,7 +852,8 @@ def quaternion(column: np.ndarray) -> np.ndarray:
 def stamps(array: np.ndarray) -> np.ndarray:
     """(n,) int64, ns since 1970: the header stamps of an array from `read`."""
     stamp = array["header"]["stamp"]
-    return stamp["sec"].astype(np.int64) * 1_000_000_000 + stamp["nanosec"]
+    nanoseconds: np.ndarray = stamp["sec"].astype(np.int64) * 1_000_000_000 + stamp["nanosec"]
+    return nanoseconds
 
 
 def _flatten(array: np.ndarray, prefix: str = "") -> Iterator[tuple[str, np.ndarray]]:

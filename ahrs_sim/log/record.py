@@ -1,13 +1,17 @@
 """What of a flight lives where in its log: every topic, for writing and for reading back.
 
-    with FlightLog("flight.mcap", epoch_ns=epoch, truth_rate=400.0, suites={"chr": ["imu", "mag"]}, estimators=["ekf"]) as log:
-        log.truth(truth); log.record("chr", "imu", records); log.estimates("ekf", estimates); log.advance(t)
+    with FlightLog("flight.mcap", epoch_ns=epoch, suites={"chr": ["imu", "mag"]}, estimators=["ekf"]) as log:
+        log.truth(truth)
+        log.record("chr", "imu", records)
+        log.estimates("ekf", estimates)
+        log.advance(t)
 
     with FlightReader("flight.mcap") as log:
         truth, imu, estimates = log.truth(), log.record("chr", "imu"), log.estimates("ekf")
 
-Numbers are stored as they are (float64), so they come back bit for bit; of the estimates covariances, sigmas, innovations and
-adaptation are float32. Frames are `map_ned` and `base_link_frd`, tied to the `map` and `base_link` of ROS by `/tf_static`.
+Numbers are stored as they are (float64), so they come back bit for bit; of the estimates covariances, sigmas,
+innovations and adaptation are float32. Frames are `map_ned` and `base_link_frd`, tied to the `map` and `base_link` of
+ROS by `/tf_static`.
 """
 
 import dataclasses
@@ -27,6 +31,7 @@ from ahrs_sim.sensors.records import (
     AirRecord,
     FixRecord,
     HeadingRecord,
+    ImuErrorsRecord,
     ImuRecord,
     MagRecord,
     PhaseRecord,
@@ -69,7 +74,7 @@ class Route:
     constant: Mapping[str, Any] = field(default_factory=dict)
 
     def channel(self, writer: LogWriter, prefix: str = "") -> LogChannel:
-        """This topic, behind `prefix`, in a new log."""
+        """The channel in a new log, its topic behind `prefix`."""
         return writer.add_channel(prefix + self.topic, self.type_name, constant=self.constant, frame_id=self.frame)
 
     def columns(self, block: Columns) -> dict[str, np.ndarray]:
@@ -100,7 +105,8 @@ TRUTH: tuple[Route, ...] = (
         "/truth/odometry",
         "nav_msgs/msg/Odometry",
         NED,
-        "Position from where the flight began (m), attitude, velocity (m/s) and inertial rate (rad/s) in body axes, of the centre of gravity.",
+        "Of the centre of gravity: position from where the flight began (m), attitude, velocity (m/s) and inertial "
+        "rate (rad/s), both in body axes.",
         {"pose.pose.orientation": "q_nb"},
         {"child_frame_id": FRD},
     ),
@@ -108,7 +114,8 @@ TRUTH: tuple[Route, ...] = (
         "/truth/imu",
         "sensor_msgs/msg/Imu",
         FRD,
-        "What a perfect IMU at the centre of gravity reads: inertial rate (rad/s), specific force (m/s2, -9.81 on z at rest); and the attitude.",
+        "What a perfect IMU at the centre of gravity reads: inertial rate (rad/s), specific force (m/s2, -9.81 on z at "
+        "rest); and the attitude.",
         {"orientation": "q_nb", "angular_velocity": "rate_ib_b", "linear_acceleration": "accel_b"},
     ),
     Route(
@@ -198,6 +205,17 @@ INSTRUMENTS: dict[str, tuple[type[Record], Route]] = {
             {"orientation_covariance": _UNKNOWN},
         ),
     ),
+    "imu_errors": (
+        ImuErrorsRecord,
+        Route(
+            "/imu/errors",
+            "ahrs_sim_msgs/msg/ImuErrors",
+            FRD,
+            "The true biases behind every message of the IMU, turn-on and in-run together: for reports, not for "
+            "estimators.",
+            {"gyro_bias": "gyro_bias", "accel_bias": "accel_bias"},
+        ),
+    ),
     "mag": (
         MagRecord,
         Route("/imu/mag", "sensor_msgs/msg/MagneticField", FRD, "Magnetic field, T.", {"magnetic_field": "mag_b"}),
@@ -208,7 +226,8 @@ INSTRUMENTS: dict[str, tuple[type[Record], Route]] = {
             "/gps/fix",
             "sensor_msgs/msg/NavSatFix",
             FRD,
-            "Latitude and longitude in deg, height above the ellipsoid in m, covariance in m2 (east, north, up) as the receiver reports it.",
+            "Latitude and longitude in deg, height above the ellipsoid in m, covariance in m2 (east, north, up) as the "
+            "receiver reports it.",
             {
                 "status.status": "fix",
                 "latitude": ("lla_deg", 0),
@@ -326,7 +345,8 @@ ESTIMATED_IMU = Route(
     "/imu",
     "sensor_msgs/msg/Imu",
     FRD,
-    f"The same attitude for viewers, `{FRD}` to `{NED}`, with its covariance (rad2; 0: not known); absent while there is none.",
+    f"The same attitude for viewers, `{FRD}` to `{NED}`, with its covariance (rad2; 0: not known); absent while there "
+    "is none.",
     {"orientation": "q_nb"},
     {"angular_velocity_covariance": _UNKNOWN, "linear_acceleration_covariance": _UNKNOWN},
 )
@@ -444,13 +464,13 @@ class FlightLog:
         for route, channel in self._truth:
             columns = route.columns(logged)
             if route is ODOMETRY:
-                columns["pose.pose.position"] = wgs84.offset_n(logged.lla, self._origin)
+                columns["pose.pose.position"] = _offset_n(logged.lla, self._origin)
                 columns["twist.twist.linear"] = _to_body(logged.q_nb, logged.vel_n)
                 columns["twist.twist.angular"] = logged.rate_ib_b
             self.writer.write(channel, times[rows], times[rows], **columns)
         rows = self._moved.rows(len(block))
         moved = {
-            "transforms.0.transform.translation": wgs84.offset_n(block.lla[rows], self._origin),
+            "transforms.0.transform.translation": _offset_n(block.lla[rows], self._origin),
             "transforms.0.transform.rotation": block.q_nb[rows],
         }
         self.writer.write(self._tf, times[rows], times[rows], **moved)
@@ -536,6 +556,16 @@ _MEDIA = {".toml": "application/toml", ".xml": "application/xml", ".txt": "text/
 
 def _picked(block: B, rows: np.ndarray) -> B:
     return type(block)(*(getattr(block, f.name)[rows] for f in dataclasses.fields(block)))
+
+
+def _offset_n(lla: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Positions (n, 3) m in the NED frame at `origin` (3,).
+
+    `wgs84.offset_n`, but in sums that round alike however many rows there are (a matrix product does not): the log's
+    bytes may not depend on the length of a block.
+    """
+    x, y, z = (wgs84.ecef(lla) - wgs84.ecef(origin)).T
+    return np.stack([x * a + y * b + z * c for a, b, c in wgs84.ned_axes(origin[0], origin[1])], axis=-1)
 
 
 def _to_body(q_nb: np.ndarray, v_n: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Make a log of what an interrupted flight has left, or of any MCAP file that is cut off or damaged.
 
-Everything whole is kept as it is: whole chunks, loose messages, schemas, metadata, attachments. The indexes and the summary are made
-anew. A log that was finished comes out byte for byte the same.
+Everything whole is kept as it is: whole chunks, loose messages, schemas, metadata, attachments. The indexes and the
+summary are made anew. A log that was finished comes out byte for byte the same.
 """
 
 import contextlib
@@ -14,7 +14,6 @@ from typing import IO
 
 import numpy as np
 import zstandard
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Chunk, Header, Metadata
 
@@ -32,7 +31,7 @@ from ahrs_sim.log.reader import (
 )
 
 _RUN = 1 << 20  # bytes of loose messages that make a chunk
-_DAMAGE = (Damaged, McapError, struct.error, UnicodeDecodeError)
+_DAMAGE = (Damaged, struct.error, UnicodeDecodeError, OverflowError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,13 +120,14 @@ class _Walk:
     def into(self, stream: IO[bytes]) -> Recovered:
         """Write everything whole from here on."""
         self.file = Container(stream, self.header)
-        complete = False
+        complete, lost = False, 0
         while True:
             try:
                 opcode, body = self.next()
             except _DAMAGE:
+                lost = self.size - self.at
                 break
-            if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+            if opcode in (Opcode.DATA_END, Opcode.FOOTER):  # a summary behind it is made anew
                 complete = self.damaged == 0 and self.ends_well()
                 break
             try:
@@ -135,8 +135,6 @@ class _Walk:
             except _DAMAGE:
                 self.damaged += 1
         self.end_run()
-        # An unfinished summary counts for nothing: it was made anew.
-        lost = 0 if opcode in (Opcode.DATA_END, Opcode.FOOTER) else self.size - self.at
         result = Recovered(self.file.message_count, self.file.end_time, self.damaged, lost, complete)
         if not complete:
             values = {"messages": str(result.messages), "end_ns": str(result.end_ns), "damaged": str(self.damaged)}
@@ -145,7 +143,7 @@ class _Walk:
         return result
 
     def ends_well(self) -> bool:
-        """Is there a footer at the end of the file?"""
+        """Whether there is a footer at the end of the file."""
         tail = RECORD_HEAD.size + 20 + len(MAGIC)
         end = read_at(self.source, self.size, max(self.size - tail, 0), min(tail, self.size))
         return end.endswith(MAGIC) and end.startswith(RECORD_HEAD.pack(Opcode.FOOTER, 20))

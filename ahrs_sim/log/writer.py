@@ -7,9 +7,9 @@
         log.write(imu, arrival_ns, stamp_ns, angular_velocity=gyro_b, linear_acceleration=accel_b)
         log.advance(t_ns)
 
-All messages of a call are laid down at once: a copy of the channel's template for each, then one strided copy a field. Chunks are cut
-on a fixed grid of log time, so the bytes of the file depend on what was written and not on the portions it came in. One worker thread compresses and
-writes; its queue is short, so memory stays bounded.
+All messages of a call are laid down at once: a copy of the channel's template for each, then one strided copy a field.
+Chunks are cut on a fixed grid of log time, so the bytes of the file depend on what was written and not on the portions
+it came in. One worker thread compresses and writes; its queue is short, so memory stays bounded.
 """
 
 import contextlib
@@ -80,8 +80,9 @@ def _record_head(channel: int, payload: int) -> bytes:
 class LogWriter:
     """A log being written, `<path>.part` until `close` renames it.
 
-    In order: `add_channel`, `metadata`, `attach` in any order, `start`, then `write`, `event` and `advance`, at last `close`. As a context manager it closes when the
-    block ends well and keeps the `.part` with everything written when it does not.
+    In order: `add_channel`, `metadata`, `attach` in any order, `start`, then `write`, `event` and `advance`, at last
+    `close`. As a context manager it closes when the block ends well and keeps the `.part` with everything written when
+    it does not.
 
     Args:
         path: name of the finished log.
@@ -132,8 +133,10 @@ class LogWriter:
         Args:
             topic: `/like/this`.
             type_name: one of `messages.type_names()`.
-            constant: fields that are the same in every message, as nested mappings; strings and sequences can only be given here.
-            shorthand: `frame_id="map_ned"` for the header's, `child_frame_id=...`, or any other string at the top of the message.
+            constant: fields that are the same in every message, as nested mappings; strings and sequences can only be
+                given here.
+            shorthand: `frame_id="map_ned"` for the header's, `child_frame_id=...`, or any other string at the top of
+                the message.
 
         Raises:
             ValueError: an unknown field, a topic that is there already, or the log is started.
@@ -194,9 +197,9 @@ class LogWriter:
             channel: from `add_channel`.
             log_time_ns: (n,) int64, when each message arrived, ns since 1970; not before the last `advance`.
             stamp_ns: (n,) int64, when its content was true: `header.stamp` of the message and its publish time.
-            columns: fields by dotted path (`**{"twist.twist.linear": v}`), one row a message or one for all; a vector is (n, 3), a
-                quaternion (n, 4) scalar first, a fixed array (n, k) or of any shape with k values. Fields not given keep the
-                channel's constant, else zero.
+            columns: fields by dotted path (`**{"twist.twist.linear": v}`), one row a message or one for all; a vector
+                is (n, 3), a quaternion (n, 4) scalar first, a fixed array (n, k) or any shape of k values. Fields not
+                given keep the channel's constant, else zero.
 
         Raises:
             ValueError: an unknown field, a shape that does not fit, or a message older than the last `advance`.
@@ -310,7 +313,7 @@ class LogWriter:
             present, at_channel = np.unique(inside[by_channel], return_index=True)
             parts = np.split(entries[by_channel], at_channel[1:])
             index = {int(c): part for c, part in zip(present, parts, strict=True)}
-            self._put((memoryview(data)[begin:end], int(times[first]), int(times[last - 1]), index))
+            self._put((data.data[begin:end], int(times[first]), int(times[last - 1]), index))
 
     # ------------------------------------------------------------------------------------------- the worker
 
@@ -344,7 +347,7 @@ class LogWriter:
     def _fail(self) -> None:
         reason = self._error.strerror if isinstance(self._error, OSError) else None
         raise LogError(
-            f"{self.part}: cannot be written on: {reason or self._error}; what is there can be had with 'ahrs-sim recover'"
+            f"{self.part}: cannot be written: {reason or self._error}; 'ahrs-sim recover' saves what is there"
         ) from self._error
 
     def _guard(self, action: Any) -> None:
