@@ -1,0 +1,207 @@
+"""Initial attitude, gyro bias and sensor noise from a stationary stretch.
+
+Second by second the stretch is judged: still when gyro and accelerometer scatter no more than their noise explains, the gyro's mean could be
+its bias and the accelerometer's mean gravity. `align_s` still seconds in a row give the alignment: attitude by TRIAD from mean
+specific force and mean field (down exactly, heading from the field), bias from the mean rate, noise covariances from the scatter. A second
+that is not still starts the stretch again. Without stillness the alignment is coarse, from the means of the last second, with a
+large covariance: after `MOVING_S` when no second was still (started in the air), after `wait_s` in any case.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from estimators.jit import njit
+from estimators.rotations import attitude_matrix, from_euler, triad
+from estimators.types import SensorInfo, Site
+
+MOVING_S = 5.0  # s
+GYRO_SCATTER, ACCEL_SCATTER = (
+    math.radians(0.5),
+    0.15,
+)  # rad/s, m/s2: least limits, vibration of an idling motor included
+MEAN_RATE = math.radians(1.5)  # rad/s: more than a turn-on bias is a turn
+COARSE_TILT, COARSE_HEADING, NO_HEADING = math.radians(20.0), math.radians(45.0), math.radians(104.0)  # sigmas
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """What a stationary stretch says (or, coarse, the last second before it was given up)."""
+
+    still: bool
+    q_nb: np.ndarray  # (4,)
+    sigma_n: np.ndarray  # (3,) rad, of a rotation about north, east, down
+    gyro_bias: np.ndarray  # (3,) rad/s
+    gyro_bias_sigma: np.ndarray  # (3,)
+    gyro_cov: np.ndarray  # (3, 3), of single samples
+    accel_cov: np.ndarray  # (3, 3)
+    mag_cov: np.ndarray  # (3, 3) NaN without magnetometer
+
+
+class Start(NamedTuple):
+    """What a model's `build` returns: the model and the first contents of the estimator's memory."""
+
+    model: Any
+    x: np.ndarray
+    P: np.ndarray
+    P_restart: np.ndarray
+    memory: np.ndarray
+    inputs: int  # length of u
+    measurements: int  # length of z
+
+
+class Stretch(NamedTuple):
+    """Running moments since the stretch began and of the present second (Welford)."""
+
+    clock: (
+        np.ndarray
+    )  # s: first stamp of all, start of stretch, start of second, last stamp; 1.0 once a second was still
+    count: np.ndarray  # samples in stretch: IMU, magnetometer; in second: IMU, magnetometer
+    mean: np.ndarray  # (2, 9) gyro, accelerometer, magnetometer; of stretch, of second
+    spread: np.ndarray  # (2, 9, 3) sums of products of deviations, a 3x3 block each
+
+    @classmethod
+    def make(cls) -> "Stretch":
+        """Nothing seen."""
+        return cls(np.full(5, np.nan), np.zeros(4), np.zeros((2, 9)), np.zeros((2, 9, 3)))
+
+
+BEGAN, STRETCH, SECOND, LAST, EVER_STILL = range(5)
+ALIGNING, STILL, COARSE = range(3)
+
+
+@njit
+def _add(s: Stretch, which: int, sensor: int, n: float, values: np.ndarray) -> None:
+    """Add one reading of a sensor (0 gyro, 1 accelerometer, 2 magnetometer), the n-th."""
+    first = 3 * sensor
+    before = np.empty(3)
+    for i in range(3):
+        before[i] = values[i] - s.mean[which, first + i]
+        s.mean[which, first + i] += before[i] / n
+    for i in range(3):
+        for j in range(3):
+            s.spread[which, first + i, j] += before[i] * (values[j] - s.mean[which, first + j])
+
+
+@njit
+def _clear(s: Stretch, which: int) -> None:
+    s.count[2 * which : 2 * which + 2] = 0.0
+    s.mean[which] = 0.0
+    s.spread[which] = 0.0
+
+
+@njit
+def _second_is_still(s: Stretch, gyro_limit: float, accel_limit: float, gravity: float) -> bool:
+    n = s.count[2]
+    if n < 2.0:
+        return False
+    norm2 = 0.0
+    for i in range(3):
+        norm2 += s.mean[1, 3 + i] ** 2
+        if s.spread[1, i, i] > (n - 1.0) * gyro_limit**2 or abs(s.mean[1, i]) > MEAN_RATE:
+            return False
+        if s.spread[1, 3 + i, i] > (n - 1.0) * accel_limit**2:
+            return False
+    return abs(math.sqrt(norm2) / gravity - 1.0) < 0.1
+
+
+@njit
+def align(
+    s: Stretch, samples: Any, align_s: float, wait_s: float, gyro_limit: float, accel_limit: float, gravity: float
+) -> tuple[int, int]:
+    """Take rows until aligned: the number of rows taken and ALIGNING, STILL or COARSE."""
+    clock, count = s.clock, s.count
+    for k in range(samples.t.shape[0]):
+        t = samples.t[k]
+        if math.isnan(clock[BEGAN]):
+            clock[BEGAN] = clock[STRETCH] = clock[SECOND] = t
+            clock[EVER_STILL] = 0.0
+        elif t <= clock[LAST]:
+            continue
+        clock[LAST] = t
+        if t - clock[SECOND] >= 1.0:
+            if _second_is_still(s, gyro_limit, accel_limit, gravity):
+                clock[EVER_STILL] = 1.0
+                if t - clock[STRETCH] >= align_s:
+                    return k, STILL
+            else:
+                waited = t - clock[BEGAN]
+                if count[2] > 0.0 and (waited >= wait_s or (waited >= MOVING_S and clock[EVER_STILL] == 0.0)):
+                    return k, COARSE
+                _clear(s, 0)
+                clock[STRETCH] = t
+            _clear(s, 1)
+            clock[SECOND] = t
+        finite = True
+        for i in range(3):
+            finite &= math.isfinite(samples.gyro_b[k, i]) and math.isfinite(samples.accel_b[k, i])
+        mag = samples.mag_new[k]
+        for i in range(3):
+            mag &= math.isfinite(samples.mag_b[k, i])
+        for which in range(2):
+            if finite:
+                count[2 * which] += 1.0
+                _add(s, which, 0, count[2 * which], samples.gyro_b[k])
+                _add(s, which, 1, count[2 * which], samples.accel_b[k])
+            if mag:
+                count[2 * which + 1] += 1.0
+                _add(s, which, 2, count[2 * which + 1], samples.mag_b[k])
+    return samples.t.shape[0], ALIGNING
+
+
+def limits(sensors: SensorInfo) -> tuple[float, float]:
+    """Scatter (rad/s, m/s2) up to which a second counts as still, for sensors of this noise."""
+    gyro = sensors.gyro_noise * math.sqrt(sensors.rate / 2)
+    accel = sensors.accel_noise * math.sqrt(sensors.rate / 2)
+    return max(GYRO_SCATTER, 2 * gyro), max(ACCEL_SCATTER, 2 * accel)
+
+
+def conclude(s: Stretch, still: bool, site: Site, sensors: SensorInfo) -> Alignment:
+    """The alignment from what `align` has gathered: the whole stretch when still, else the last second."""
+    which = 0 if still else 1
+    samples, fields = s.count[2 * which], s.count[2 * which + 1]
+    rate, force, field = s.mean[which, 0:3], s.mean[which, 3:6], s.mean[which, 6:9]
+    mag_n = np.array(site.mag_n, float)
+    q_nb = np.array([1.0, 0.0, 0.0, 0.0])
+    has_heading = fields > 0 and triad(-force, field, mag_n, q_nb)
+    if not has_heading and np.linalg.norm(force) > 0.0:  # level from gravity, heading unknown
+        from_euler(math.atan2(-force[1], -force[2]), math.atan2(force[0], math.hypot(force[1], force[2])), 0.0, q_nb)
+    horizontal = math.hypot(mag_n[0], mag_n[1])
+    if still:
+        tilt = math.hypot(sensors.accel_bias / site.gravity, sensors.accel_scale, 1e-3)
+        heading = (
+            math.hypot(sensors.mag_bias / horizontal, tilt * mag_n[2] / horizontal, 5e-3) if has_heading else NO_HEADING
+        )
+        per_sample = sensors.gyro_noise * math.sqrt(sensors.rate / 2)
+        bias = rate.copy()
+        bias_sigma = np.full(3, math.hypot(per_sample / math.sqrt(samples), sensors.gyro_instability, 7.3e-5))
+    else:
+        tilt, heading = COARSE_TILT, COARSE_HEADING if has_heading else NO_HEADING
+        bias, bias_sigma = np.zeros(3), np.full(3, max(sensors.gyro_bias, 1e-4))
+
+    def covariance(sensor: int, n: float) -> np.ndarray:
+        block = s.spread[which, 3 * sensor : 3 * sensor + 3]
+        return (block + block.T) / (2 * (n - 1)) if n > 1 else np.full((3, 3), np.nan)
+
+    return Alignment(
+        still=still,
+        q_nb=q_nb,
+        sigma_n=np.array([tilt, tilt, heading]),
+        gyro_bias=bias,
+        gyro_bias_sigma=bias_sigma,
+        gyro_cov=covariance(0, samples),
+        accel_cov=covariance(1, samples),
+        mag_cov=covariance(2, fields),
+    )
+
+
+def attitude_block(alignment: Alignment) -> np.ndarray:
+    """(4, 4) covariance of the elements of q_nb that belongs to `sigma_n`: rank three, `P = 1/4 X C_bn s^2 C_nb X^T`."""
+    a, b, c, d = alignment.q_nb
+    C_bn = np.empty((3, 3))
+    attitude_matrix(alignment.q_nb, C_bn)
+    X = np.array([[-b, -c, -d], [a, -d, c], [d, a, -b], [-c, b, a]])
+    block: np.ndarray = 0.25 * X @ C_bn @ np.diag(alignment.sigma_n**2) @ C_bn.T @ X.T
+    return block

@@ -1,0 +1,160 @@
+"""Named combinations of filter and model, and the way to a user's own class.
+
+    estimator = create("marg-ckf", site=site, sensors=sensors, aiding="airspeed")
+    estimates = estimator.process(samples)
+
+A class of your own joins as `create("package.module:Class")` or under a name of the entry-point group `ahrs_sim.estimators`;
+it is made with `Class(site=..., sensors=..., **settings)` and needs a method `process(samples) -> Estimates`.
+"""
+
+import importlib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from importlib import metadata
+from typing import TYPE_CHECKING, Any, cast
+
+from estimators.errors import SettingError
+from estimators.settings import Setting, checked, nearest
+from estimators.types import SensorInfo, Site
+
+if TYPE_CHECKING:
+    from estimators.estimator import Estimator
+
+GROUP = "ahrs_sim.estimators"
+
+
+@dataclass(frozen=True)
+class Method:
+    """One line of the catalogue."""
+
+    name: str
+    text: str  # what it is, one line
+    source: str  # the paper
+    filter: str  # module:class
+    model: str  # module with `build`
+    settings: Mapping[str, Setting]
+    filter_settings: tuple[str, ...] = ()  # those that are fields of the filter's class
+
+
+_START = {
+    "initialisation": Setting(
+        "aligned", "aligned: from a stationary stretch; paper: fixed state, large covariance", ("aligned", "paper")
+    ),
+    "align_s": Setting(20.0, "s, stationary stretch that is averaged", minimum=1.0, maximum=3600.0),
+    "wait_s": Setting(60.0, "s, wait for it so long, then align coarsely", minimum=1.0, maximum=3600.0),
+}
+_MARG = {
+    **_START,
+    "aiding": Setting("none", "what is added to gravity in the accelerometer's model", ("none", "airspeed", "gnss")),
+    "noise": Setting(
+        "auto",
+        "from-ground: R and Q from the stationary stretch (the paper); practical: the settings below; "
+        "auto: from-ground without aiding, practical with it",
+        ("auto", "from-ground", "practical"),
+    ),
+    "accel_sigma": Setting(1.5, "m/s2, practical: vibration, turbulence and model errors, not sensor noise", above=0.0),
+    "mag_sigma": Setting(4e-6, "T, practical", above=0.0),
+    "rate_noise": Setting(0.035, "rad/s per sqrt(s), practical: how fast the body rate may change", above=0.0),
+    "bias_walk": Setting(1e-5, "rad/s per sqrt(s), random walk of the gyro bias", minimum=0.0),
+    "speed_filter": Setting(0.5, "s, time constant of the derivative of the airspeed", above=0.0),
+    "speed_min": Setting(8.0, "m/s, below it the airspeed may be wind on the ground: not used", minimum=0.0),
+    "unaided_factor": Setting(11.0, "on the accelerometer's variance while the aid is silent", minimum=1.0),
+}
+_CDKF = {"h": Setting(math.sqrt(3.0), "interval of the central differences", minimum=1.0)}
+_PAPER_0 = "Han, Gan, He and Alazard 2013"
+
+_METHODS = (
+    Method(
+        "marg-ekf", "Extended Kalman filter on quaternion, body rate and gyro bias", _PAPER_0,
+        "estimators.filters.ekf:Ekf", "estimators.models.marg", _MARG,
+    ),
+    Method(
+        "marg-ckf", "Cubature Kalman filter on quaternion, body rate and gyro bias", _PAPER_0,
+        "estimators.filters.ckf:Ckf", "estimators.models.marg", _MARG,
+    ),
+    Method(
+        "marg-cdkf", "Central difference Kalman filter on quaternion, body rate and gyro bias", _PAPER_0,
+        "estimators.filters.cdkf:Cdkf", "estimators.models.marg", {**_MARG, **_CDKF}, ("h",),
+    ),
+)  # fmt: skip
+_CATALOGUE = {method.name: method for method in _METHODS}
+
+
+def names() -> list[str]:
+    """The names `create` knows: the catalogue's, then those of installed packages (entry points)."""
+    return [*_CATALOGUE, *sorted(point.name for point in metadata.entry_points(group=GROUP))]
+
+
+def describe() -> list[Method]:
+    """The catalogue: name, one line, source and settings with their defaults, of each method."""
+    return list(_METHODS)
+
+
+def create(name: str, *, site: Site | None = None, sensors: SensorInfo | None = None, **settings: Any) -> "Estimator":
+    """An estimator of the catalogue, of an entry point, or of a class given as `package.module:Class`.
+
+    Args:
+        name: see `names`.
+        site: place, gravity and magnetic field; the default is a mid-latitude field without declination.
+        sensors: data sheet figures; the default is a consumer grade MEMS.
+        settings: see `describe`.
+
+    Raises:
+        SettingError: unknown name or setting (with the nearest one), a value of the wrong type or out of range.
+    """
+    site = site if site is not None else Site((0.0, 0.0, 0.0))
+    sensors = sensors if sensors is not None else SensorInfo()
+    _check_given(site, sensors)
+    if name in _CATALOGUE:
+        return _create(_CATALOGUE[name], site, sensors, settings)
+    return _create_foreign(name, site, sensors, settings)
+
+
+def _create(method: Method, site: Site, sensors: SensorInfo, settings: Mapping[str, Any]) -> "Estimator":
+    values = checked(method.name, method.settings, settings)
+    from estimators.estimator import FilterEstimator  # compiles or loads kernels: not before it is needed
+
+    module, _, attribute = method.filter.partition(":")
+    make_filter = getattr(importlib.import_module(module), attribute)
+    build = importlib.import_module(method.model).build
+    filter_ = make_filter(**{key: values[key] for key in method.filter_settings})
+    return FilterEstimator(method.name, filter_, build, values, site, sensors)
+
+
+def _create_foreign(name: str, site: Site, sensors: SensorInfo, settings: Mapping[str, Any]) -> "Estimator":
+    points = [point for point in metadata.entry_points(group=GROUP) if point.name == name]
+    try:
+        if points:
+            made = points[0].load()
+        elif ":" in name:
+            module, _, attribute = name.partition(":")
+            made = getattr(importlib.import_module(module), attribute)
+        else:
+            raise SettingError(f"no estimator '{name}'{nearest(name, names())}")
+    except (ImportError, AttributeError) as error:
+        raise SettingError(f"estimator '{name}' cannot be loaded: {error}") from error
+    try:
+        estimator = made(site=site, sensors=sensors, **settings)
+    except TypeError as error:
+        raise SettingError(f"estimator '{name}': {error}") from error
+    if not callable(getattr(estimator, "process", None)):
+        raise SettingError(f"estimator '{name}' has no method 'process(samples)'")
+    return cast("Estimator", estimator)
+
+
+def _check_given(site: Site, sensors: SensorInfo) -> None:
+    values = {f"site.{f.name}": getattr(site, f.name) for f in fields(site)}
+    values |= {f"sensors.{f.name}": getattr(sensors, f.name) for f in fields(sensors)}
+    for key, value in values.items():
+        numbers = value if isinstance(value, tuple) else (value,)
+        if not all(math.isfinite(number) for number in numbers):
+            raise SettingError(f"{key}: {value} is not finite")
+        if key.startswith("sensors.") and key != "sensors.antenna_b" and min(numbers) < 0.0:
+            raise SettingError(f"{key}: {value} is negative")
+    if not site.gravity > 0.0:
+        raise SettingError(f"site.gravity: {site.gravity} must be positive")
+    if not math.hypot(site.mag_n[0], site.mag_n[1]) > 0.0:
+        raise SettingError("site.mag_n: a vertical field gives no heading")
+    if not sensors.rate > 0.0:
+        raise SettingError(f"sensors.rate: {sensors.rate} must be positive")

@@ -1,0 +1,23 @@
+"""Cubature Kalman filter (Arasaratnam and Haykin 2009; paper 000 eq. (2)-(15)).
+
+2n points `x +- sqrt(n) S e_i` of equal weight 1/(2n), no parameter. With the pairs of `points`, h^2 = n and `f(+-) = f(0) + (s_i +- d_i)/2`:
+
+    mean        1/(2n) sum f(+-)                  = f(0) + sum s_i/(2n)                      eq. (5)
+    covariance  1/(2n) sum f(+-) f(+-)^T - mean^2 = sum (d_i d_i^T + s_i s_i^T)/(4n) - delta delta^T     eq. (6)
+"""
+
+from typing import Any, NamedTuple
+
+from estimators.filters.points import predict_points, project_points
+from estimators.generic import register
+
+
+class Ckf(NamedTuple):
+    """No parameters."""
+
+
+def _rule(method: Any, n: int) -> tuple[float, float, float]:
+    return n**0.5, 0.25 / n, -1.0
+
+
+register(Ckf, predict=predict_points, project=project_points, rule=_rule)

@@ -1,0 +1,151 @@
+"""Sigma points in symmetric pairs: the part that CKF, CDKF and UKF share.
+
+All three evaluate f at the mean and at `x +- h S e_i` (S the lower Cholesky factor of P) and differ only in how they weigh
+
+    d_i = f(+) - f(-),   s_i = f(+) + f(-) - 2 f(0),   delta = sum_i s_i / (2 h^2) :
+
+    mean             f(0) + delta
+    covariance       sum_i [ d_i d_i^T / (4 h^2) + even s_i s_i^T ] + square delta delta^T
+    cross covariance sum_i S e_i d_i^T / (2 h)
+
+(`h`, `even`, `square`) come from the filter's `rule`; each filter's file derives its own from its paper. A component that f does not
+read leaves d_i = s_i = 0, one that f passes on unchanged is reproduced exactly: so only the components that the model
+declares are evaluated. Differences are the model's own, so that states on a manifold need nothing more.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from estimators.filters.base import Work
+from estimators.filters.ekf import project_linear
+from estimators.generic import generic
+from estimators.jit import njit
+from estimators.linalg import leading_cholesky, mirror
+from estimators.models.base import (
+    LINEAR,
+    READ,
+    ROWS,
+    difference,
+    observe,
+    process_noise,
+    propagate,
+    residual,
+    retract,
+)
+
+
+@njit
+def spread(
+    d: np.ndarray,
+    s: np.ndarray,
+    shift: np.ndarray,
+    pairs: int,
+    rows: int,
+    odd: float,
+    even: float,
+    square: float,
+    out: np.ndarray,
+) -> None:
+    """`out` (lower half) = covariance of the points: the second line of the module's docstring."""
+    for a in range(rows):
+        for b in range(a + 1):
+            out[a, b] = square * shift[a] * shift[b]
+    for i in range(pairs):
+        for a in range(rows):
+            weighted_d, weighted_s = odd * d[i, a], even * s[i, a]
+            for b in range(a + 1):
+                out[a, b] += weighted_d * d[i, b] + weighted_s * s[i, b]
+
+
+@generic
+def rule(method: Any, n: int) -> tuple[float, float, float]:  # type: ignore[empty-body]
+    """`(h, even, square)` of a filter for a state of n components."""
+
+
+def predict_points(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarray, dt: float, work: Work) -> bool:
+    """Time update (paper 000 eq. (2)-(6))."""
+    n, changed, read = P.shape[0], model.layout.changed, model.layout.read
+    h, even, square = rule(method, n)
+    L, d, s, shift, plus, minus, dx = work.L, work.odd, work.even, work.shift, work.plus, work.minus, work.dx
+    if not leading_cholesky(P, read, L):
+        return False
+    centre = work.x
+    propagate(model, x, u, dt, centre)
+    for a in range(changed):
+        shift[a] = 0.0
+    for i in range(read):
+        for j in range(n):
+            dx[j] = h * L[j, i]
+        retract(model, x, dx, work.point)
+        propagate(model, work.point, u, dt, work.moved)
+        difference(model, work.moved, centre, plus)
+        for j in range(n):
+            dx[j] = -dx[j]
+        retract(model, x, dx, work.point)
+        propagate(model, work.point, u, dt, work.moved)
+        difference(model, work.moved, centre, minus)
+        for a in range(changed):
+            d[i, a] = plus[a] - minus[a]
+            s[i, a] = plus[a] + minus[a]
+            shift[a] += s[i, a]
+    for j in range(n):
+        dx[j] = 0.0
+    for a in range(changed):
+        shift[a] *= 0.5 / (h * h)
+        dx[a] = shift[a]
+    retract(model, centre, dx, x)
+    spread(d, s, shift, read, changed, 0.25 / (h * h), even, square, P)
+    for j in range(changed, n):
+        for a in range(changed):
+            total = 0.0
+            for i in range(read):
+                total += L[j, i] * d[i, a]
+            P[j, a] = total * (0.5 / h)
+    mirror(P)
+    process_noise(model, x, u, dt, P)
+    return True
+
+
+def project_points(method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work) -> bool:  # fmt: skip
+    """Measurement moments (paper 000 eq. (7)-(12))."""
+    shape = model.layout.groups[group]
+    if shape[LINEAR] == 1:
+        return project_linear(method, model, group, x, P, u, work)
+    n, rows, read = P.shape[0], shape[ROWS], shape[READ]
+    h, even, square = rule(method, n)
+    L, d, s, shift, plus, minus, dx = work.L, work.odd, work.even, work.shift, work.plus, work.minus, work.dx
+    if not leading_cholesky(P, read, L):
+        return False
+    y, C = work.y, work.C
+    observe(model, group, x, u, y)
+    for a in range(rows):
+        shift[a] = 0.0
+    for i in range(read):
+        for j in range(n):
+            dx[j] = h * L[j, i]
+        retract(model, x, dx, work.point)
+        observe(model, group, work.point, u, plus)
+        for j in range(n):
+            dx[j] = -dx[j]
+        retract(model, x, dx, work.point)
+        observe(model, group, work.point, u, minus)
+        residual(model, group, plus, y, plus)
+        residual(model, group, minus, y, minus)
+        for a in range(rows):
+            d[i, a] = plus[a] - minus[a]
+            s[i, a] = plus[a] + minus[a]
+            shift[a] += s[i, a]
+    for a in range(rows):
+        shift[a] *= 0.5 / (h * h)
+        for j in range(n):
+            C[a, j] = 0.0
+    spread(d, s, shift, read, rows, 0.25 / (h * h), even, square, work.S)
+    for a in range(rows):
+        y[a] += shift[a]
+        for j in range(n):
+            total = 0.0
+            for i in range(min(j + 1, read)):
+                total += L[j, i] * d[i, a]
+            C[a, j] = total * (0.5 / h)
+    return True

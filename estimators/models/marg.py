@@ -1,0 +1,330 @@
+"""M1: attitude quaternion, body rate and gyro bias from magnetic, angular rate and gravity sensors (paper 000).
+
+State (10): `q_nb` (a, b, c, d), true body rate w (rad/s), gyro bias e (rad/s); additive noise; vector state.
+
+    propagate   q <- q (x) exp_q(w dt),   w <- w + n_w,   e <- e + n_e            eq. (16), (20)
+    observe     f_b = C_bn(q) G,   m_b = C_bn(q) M,   gyro = w + e                eq. (22)
+
+with G = (0, 0, -g), M the local field. The paper takes the accelerometer for a gravity sensor, which it is not in a turn; with
+`aiding` the known motion is added, f_b = C_bn(q) (G + a_n) + w x v_b + dv_b/dt:
+
+    none       a_n = v_b = 0: the paper
+    airspeed   v_b = V (cos alpha cos beta, sin beta, sin alpha cos beta), V the true airspeed, vanes taken as 0 where there are none;
+               dV/dt from a first-order filter; below `speed_min` the wind on the ground reads as airspeed, so v_b = 0
+    gnss       a_n = difference of successive GNSS velocities, turned by the body rate from the middle of its interval to now
+
+When the aid falls silent for `AID_TIMEOUT` the accelerometer's noise is raised by `unaided_factor` (status COASTING).
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from estimators.alignment import Alignment, Start, attitude_block
+from estimators.generic import register
+from estimators.jit import njit
+from estimators.models.base import Layout
+from estimators.rotations import exp_terms, normalise, to_body, to_body_by_q, to_nav, turn
+from estimators.types import SensorInfo, Site, Status
+
+ATTITUDE, RATE, BIAS = slice(0, 4), slice(4, 7), slice(7, 10)
+
+# inputs u
+_ACCELERATION, _VELOCITY, _SPEED_UP, _ACCEL_FACTOR, INPUTS = 0, 3, 6, 9, 10
+
+# memory
+_MAG_T, _AID_T, _V, _V_SLOW, _V_DOT, _ALPHA, _BETA, _LAST_VELOCITY, _LAST_T, _A, _A_T, MEMORY = (
+    0, 1, 2, 3, 4, 5, 6, 7, 10, 11, 14, 15,
+)  # fmt: skip
+
+NONE, AIRSPEED, GNSS = 0, 1, 2
+MAG_TIMEOUT = 1.0  # s without magnetometer: the heading is carried by the gyro
+AID_TIMEOUT = 1.0  # s
+_RUNNING, _COASTING = int(Status.RUNNING), int(Status.COASTING)
+
+
+class Marg(NamedTuple):
+    """Parameters of the model."""
+
+    layout: Layout
+    gravity_n: np.ndarray  # (3,) m/s2, G = (0, 0, -g)
+    mag_n: np.ndarray  # (3,) T, M
+    R_accel: np.ndarray  # (3, 3) (m/s2)^2
+    R_mag: np.ndarray  # (3, 3) T2
+    R_gyro: np.ndarray  # (3, 3) (rad/s)^2
+    Q_rate: np.ndarray  # (3, 3) (rad/s)^2 per second
+    q_noise: float  # 1/s, variance of the quaternion's elements: keeps P positive
+    bias_noise: float  # (rad/s)^2 per second
+    aiding: int  # NONE, AIRSPEED, GNSS
+    speed_filter: float  # s, time constant of dV/dt
+    speed_min: float  # m/s
+    unaided_factor: float  # on R_accel while the aid is silent
+
+
+def _propagate(model: Any, x: np.ndarray, u: np.ndarray, dt: float, out: np.ndarray) -> None:
+    turn(x, x[4] * dt, x[5] * dt, x[6] * dt, out)
+    for i in range(4, 10):
+        out[i] = x[i]
+
+
+def _transition(model: Any, x: np.ndarray, u: np.ndarray, dt: float, F: np.ndarray) -> None:
+    a, b, c, d = x[0], x[1], x[2], x[3]
+    vx, vy, vz = x[4] * dt, x[5] * dt, x[6] * dt
+    cosine, sine, slope = exp_terms(vx * vx + vy * vy + vz * vz)
+    ex, ey, ez = sine * vx, sine * vy, sine * vz
+    # dq'/dq: multiplication by exp_q(v) from the right
+    F[0, 0], F[0, 1], F[0, 2], F[0, 3] = cosine, -ex, -ey, -ez
+    F[1, 0], F[1, 1], F[1, 2], F[1, 3] = ex, cosine, ez, -ey
+    F[2, 0], F[2, 1], F[2, 2], F[2, 3] = ey, -ez, cosine, ex
+    F[3, 0], F[3, 1], F[3, 2], F[3, 3] = ez, ey, -ex, cosine
+    # dq'/dw = q (x) d exp_q / dv dt, column by column
+    for j in range(3):
+        v_j = x[4 + j] * dt
+        da = -0.5 * sine * v_j * dt
+        db, dc, dd = slope * vx * v_j * dt, slope * vy * v_j * dt, slope * vz * v_j * dt
+        if j == 0:
+            db += sine * dt
+        elif j == 1:
+            dc += sine * dt
+        else:
+            dd += sine * dt
+        F[0, 4 + j] = a * da - b * db - c * dc - d * dd
+        F[1, 4 + j] = a * db + b * da + c * dd - d * dc
+        F[2, 4 + j] = a * dc - b * dd + c * da + d * db
+        F[3, 4 + j] = a * dd + b * dc - c * db + d * da
+
+
+def _process_noise(model: Any, x: np.ndarray, u: np.ndarray, dt: float, P: np.ndarray) -> None:
+    for i in range(4):
+        P[i, i] += model.q_noise * dt
+    for i in range(3):
+        for j in range(3):
+            P[4 + i, 4 + j] += model.Q_rate[i, j] * dt
+        P[7 + i, 7 + i] += model.bias_noise * dt
+
+
+def _observe(model: Any, group: int, x: np.ndarray, u: np.ndarray, y: np.ndarray) -> None:
+    if group == 1:
+        for i in range(3):
+            y[i] = x[4 + i] + x[7 + i]
+        return
+    g, m = model.gravity_n, model.mag_n
+    to_body(x, m[0], m[1], m[2], y)
+    y[3], y[4], y[5] = y[0], y[1], y[2]
+    to_body(x, g[0] + u[0], g[1] + u[1], g[2] + u[2], y)
+    if model.aiding == AIRSPEED:
+        vx, vy, vz = u[3], u[4], u[5]
+        y[0] += x[5] * vz - x[6] * vy + u[6]
+        y[1] += x[6] * vx - x[4] * vz + u[7]
+        y[2] += x[4] * vy - x[5] * vx + u[8]
+
+
+def _slope(model: Any, group: int, x: np.ndarray, u: np.ndarray, H: np.ndarray) -> None:
+    if group == 1:
+        for i in range(3):
+            for j in range(4, 10):
+                H[i, j] = 0.0
+            H[i, 4 + i] = 1.0
+            H[i, 7 + i] = 1.0
+        return
+    g, m = model.gravity_n, model.mag_n
+    to_body_by_q(x, m[0], m[1], m[2], H)
+    for i in range(3):
+        for j in range(4):
+            H[3 + i, j] = H[i, j]
+    to_body_by_q(x, g[0] + u[0], g[1] + u[1], g[2] + u[2], H)
+    if model.aiding == AIRSPEED:
+        vx, vy, vz = u[3], u[4], u[5]
+        H[0, 4], H[0, 5], H[0, 6] = 0.0, vz, -vy
+        H[1, 4], H[1, 5], H[1, 6] = -vz, 0.0, vx
+        H[2, 4], H[2, 5], H[2, 6] = vy, -vx, 0.0
+        for i in range(3, 6):
+            for j in range(4, 7):
+                H[i, j] = 0.0
+
+
+def _measurement_noise(model: Any, group: int, x: np.ndarray, u: np.ndarray, S: np.ndarray) -> None:
+    for i in range(3):
+        for j in range(i + 1):
+            if group == 1:
+                S[i, j] += model.R_gyro[i, j]
+            else:
+                S[i, j] += model.R_accel[i, j] * u[9]
+                S[3 + i, 3 + j] += model.R_mag[i, j]
+
+
+def _constrain(model: Any, x: np.ndarray) -> None:
+    normalise(x)
+
+
+def _load(
+    model: Any, samples: Any, k: int, x: np.ndarray, memory: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray
+) -> int:
+    t = samples.t[k]
+    mag = samples.mag_new[k]
+    accel = True
+    gyro = True
+    for i in range(3):
+        z[i], z[3 + i], z[6 + i] = samples.accel_b[k, i], samples.mag_b[k, i], samples.gyro_b[k, i]
+        accel &= math.isfinite(z[i])
+        mag &= math.isfinite(z[3 + i])
+        gyro &= math.isfinite(z[6 + i])
+    for i in range(3):
+        used[i], used[3 + i], used[6 + i] = accel, mag, gyro
+    if mag or not math.isfinite(memory[_MAG_T]):
+        memory[_MAG_T] = t
+    status = _RUNNING if accel and gyro and t - memory[_MAG_T] <= MAG_TIMEOUT else _COASTING
+    u[9] = 1.0
+    if model.aiding == AIRSPEED:
+        _load_air(model, samples, k, memory, u)
+    elif model.aiding == GNSS:
+        _load_gnss(model, samples, k, x, memory, u)
+    if model.aiding != NONE and not t - memory[_AID_T] <= AID_TIMEOUT:
+        u[9] = model.unaided_factor
+        for i in range(9):
+            u[i] = 0.0
+        status = _COASTING
+    return status
+
+
+@njit(forceinline=True)
+def _load_air(model: Any, samples: Any, k: int, memory: np.ndarray, u: np.ndarray) -> None:
+    t = samples.t[k]
+    if samples.air_new[k] and math.isfinite(samples.airspeed[k]):
+        speed, age = samples.airspeed[k], t - memory[_AID_T]
+        if not age <= AID_TIMEOUT:
+            memory[_V_SLOW] = speed
+        elif age > 0.0:
+            memory[_V_SLOW] += (1.0 - math.exp(-age / model.speed_filter)) * (speed - memory[_V_SLOW])
+        memory[_V_DOT] = (speed - memory[_V_SLOW]) / model.speed_filter
+        memory[_V] = speed
+        memory[_ALPHA] = samples.alpha[k] if math.isfinite(samples.alpha[k]) else 0.0
+        memory[_BETA] = samples.beta[k] if math.isfinite(samples.beta[k]) else 0.0
+        memory[_AID_T] = t
+    speed, speed_up = memory[_V], memory[_V_DOT]
+    if not speed >= model.speed_min:
+        speed, speed_up = 0.0, 0.0
+    alpha, beta = memory[_ALPHA], memory[_BETA]
+    ahead, right, down = math.cos(alpha) * math.cos(beta), math.sin(beta), math.sin(alpha) * math.cos(beta)
+    u[3], u[4], u[5] = speed * ahead, speed * right, speed * down
+    u[6], u[7], u[8] = speed_up * ahead, speed_up * right, speed_up * down
+
+
+@njit(forceinline=True)
+def _load_gnss(model: Any, samples: Any, k: int, x: np.ndarray, memory: np.ndarray, u: np.ndarray) -> None:
+    if samples.gnss_new[k] and math.isfinite(
+        samples.gnss_t[k] + samples.vel_n[k, 0] + samples.vel_n[k, 1] + samples.vel_n[k, 2]
+    ):
+        valid = samples.gnss_t[k]
+        age = valid - memory[_LAST_T]
+        if 0.0 < age <= AID_TIMEOUT:
+            for i in range(3):
+                memory[_A + i] = (samples.vel_n[k, i] - memory[_LAST_VELOCITY + i]) / age
+            memory[_A_T] = valid - 0.5 * age
+            memory[_AID_T] = samples.t[k]
+        for i in range(3):
+            memory[_LAST_VELOCITY + i] = samples.vel_n[k, i]
+        memory[_LAST_T] = valid
+    rate_n = np.empty(3)
+    to_nav(x, x[4], x[5], x[6], rate_n)
+    angle = min(1.0, max(-1.0, rate_n[2] * (samples.t[k] - memory[_A_T])))  # the acceleration turns with the vehicle
+    cosine, sine = math.cos(angle), math.sin(angle)
+    u[0] = cosine * memory[_A] - sine * memory[_A + 1]
+    u[1] = sine * memory[_A] + cosine * memory[_A + 1]
+    u[2] = memory[_A + 2]
+
+
+def _report(model: Any, x: np.ndarray, P: np.ndarray, memory: np.ndarray, out: Any, k: int) -> None:
+    a, b, c, d = x[0], x[1], x[2], x[3]
+    scale = 1.0 / math.sqrt(a * a + b * b + c * c + d * d)
+    a, b, c, d = a * scale, b * scale, c * scale, d * scale
+    q = out.q_nb[k]
+    q[0], q[1], q[2], q[3] = a, b, c, d
+    down = out.down_b[k]
+    down[0], down[1], down[2] = 2.0 * (b * d - a * c), 2.0 * (c * d + a * b), a * a - b * b - c * c + d * d
+    # small body rotation r from dq: r = 2 vec(q* (x) dq)
+    cov = out.att_cov[k]
+    for i in range(3):
+        row = (-b, a, d, -c) if i == 0 else (-c, -d, a, b) if i == 1 else (-d, c, -b, a)
+        for j in range(i + 1):
+            col = (-b, a, d, -c) if j == 0 else (-c, -d, a, b) if j == 1 else (-d, c, -b, a)
+            total = 0.0
+            for m in range(4):
+                for n in range(4):
+                    total += row[m] * P[m, n] * col[n]
+            cov[i, j] = 4.0 * total
+            cov[j, i] = 4.0 * total
+        out.gyro_bias[k, i] = x[7 + i]
+        out.gyro_bias_sigma[k, i] = math.sqrt(P[7 + i, 7 + i])
+
+
+register(
+    Marg,
+    load=_load,
+    propagate=_propagate,
+    transition=_transition,
+    process_noise=_process_noise,
+    observe=_observe,
+    slope=_slope,
+    measurement_noise=_measurement_noise,
+    constrain=_constrain,
+    report=_report,
+)
+
+_GROUPS = {  # start, rows, from, read, linear
+    NONE: [[0, 6, 0, 4, 0], [6, 3, 4, 10, 1]],
+    AIRSPEED: [[0, 6, 0, 7, 0], [6, 3, 4, 10, 1]],
+    GNSS: [[0, 6, 0, 4, 0], [6, 3, 4, 10, 1]],
+}
+_FLOOR = (1e-5, 1e-11, 1e-7)  # m/s2, T, rad/s: no sensor of a ground phase is taken for better than this
+
+
+def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignment: Alignment) -> Start:
+    """The model and its first state from settings (see the catalogue), place, sensors and alignment."""
+    aiding = {"none": NONE, "airspeed": AIRSPEED, "gnss": GNSS}[settings["aiding"]]
+    noise = settings["noise"]
+    if noise == "auto":
+        noise = "from-ground" if aiding == NONE else "practical"
+    if noise == "from-ground" and alignment.still:
+        R_accel, R_mag, R_gyro = (
+            cov + floor**2 * np.eye(3)
+            for cov, floor in zip((alignment.accel_cov, alignment.mag_cov, alignment.gyro_cov), _FLOOR, strict=True)
+        )
+        Q_rate = R_gyro * sensors.rate  # the paper is silent on how: the gyro's own scatter per sample
+        if not np.all(np.isfinite(R_mag)):  # no magnetometer seen yet
+            R_mag = settings["mag_sigma"] ** 2 * np.eye(3)
+    else:
+        R_accel, R_mag = settings["accel_sigma"] ** 2 * np.eye(3), settings["mag_sigma"] ** 2 * np.eye(3)
+        R_gyro = max(_FLOOR[2] ** 2, sensors.gyro_noise**2 * sensors.rate / 2) * np.eye(3)
+        Q_rate = settings["rate_noise"] ** 2 * np.eye(3)
+    model = Marg(
+        layout=Layout(4, 7, np.array(_GROUPS[aiding], np.int64)),
+        gravity_n=np.array([0.0, 0.0, -site.gravity]),
+        mag_n=np.array(site.mag_n, float),
+        R_accel=np.ascontiguousarray(R_accel),
+        R_mag=np.ascontiguousarray(R_mag),
+        R_gyro=np.ascontiguousarray(R_gyro),
+        Q_rate=np.ascontiguousarray(Q_rate),
+        q_noise=1e-10,
+        bias_noise=settings["bias_walk"] ** 2,
+        aiding=aiding,
+        speed_filter=settings["speed_filter"],
+        speed_min=settings["speed_min"],
+        unaided_factor=settings["unaided_factor"],
+    )
+    x, P, P_restart = np.zeros(10), np.zeros((10, 10)), np.zeros((10, 10))
+    P_restart[ATTITUDE, ATTITUDE] = 0.1 * np.eye(4)
+    P_restart[RATE, RATE] = 0.1 * np.eye(3)
+    P_restart[BIAS, BIAS] = sensors.gyro_bias**2 * np.eye(3) + 1e-8 * np.eye(3)
+    if settings["initialisation"] == "paper":
+        x[ATTITUDE] = 0.0, 0.0, 0.0, 1.0
+        P[:] = 1e4 * np.eye(10)
+    else:
+        x[ATTITUDE] = alignment.q_nb
+        x[BIAS] = alignment.gyro_bias
+        P[ATTITUDE, ATTITUDE] = attitude_block(alignment) + 1e-8 * np.eye(4)
+        P[RATE, RATE] = 0.01**2 * np.eye(3) if alignment.still else 0.3**2 * np.eye(3)
+        P[BIAS, BIAS] = np.diag(alignment.gyro_bias_sigma**2)
+    return Start(model, x, P, P_restart, memory=np.full(MEMORY, np.nan), inputs=INPUTS, measurements=9)

@@ -1,0 +1,207 @@
+"""Rotations: one equation per kernel.
+
+Quaternions are scalar first, Hamilton; `q_nb` turns body into navigation vectors: `v_n = q_nb v_b q_nb*`, `C_bn(q_nb)` is
+the matrix that maps a navigation vector to body axes. Rotation vectors are in rad. Kernels write to their last argument,
+which must not be one of the others.
+"""
+
+import math
+
+import numpy as np
+
+from estimators.jit import njit
+
+_SMALL = 0.04  # rad2: below, series are exact to rounding and much faster than sin and cos
+
+
+@njit
+def exp_terms(angle2: float) -> tuple[float, float, float]:
+    """`cos(a/2)`, `s = sin(a/2)/a` and `(cos(a/2)/2 - s)/a^2` (the slope of s over a) for `angle2 = a^2`."""
+    if angle2 < _SMALL:
+        y = 0.25 * angle2
+        cosine = 1.0 + y * (-1.0 / 2 + y * (1.0 / 24 + y * (-1.0 / 720 + y / 40320)))
+        sine = 0.5 * (1.0 + y * (-1.0 / 6 + y * (1.0 / 120 + y * (-1.0 / 5040 + y / 362880))))
+        slope = -1.0 / 24 + angle2 * (1.0 / 960 + angle2 * (-1.0 / 107520 + angle2 / 23224320))
+        return cosine, sine, slope
+    angle = math.sqrt(angle2)
+    cosine = math.cos(0.5 * angle)
+    sine = math.sin(0.5 * angle) / angle
+    return cosine, sine, (0.5 * cosine - sine) / angle2
+
+
+@njit
+def turn(q: np.ndarray, rx: float, ry: float, rz: float, out: np.ndarray) -> None:
+    """`out = q (x) exp_q(r)`: attitude after the body has turned by the rotation vector r (rad, body axes)."""
+    cosine, sine, _ = exp_terms(rx * rx + ry * ry + rz * rz)
+    b, c, d = sine * rx, sine * ry, sine * rz
+    out[0] = q[0] * cosine - q[1] * b - q[2] * c - q[3] * d
+    out[1] = q[0] * b + q[1] * cosine + q[2] * d - q[3] * c
+    out[2] = q[0] * c - q[1] * d + q[2] * cosine + q[3] * b
+    out[3] = q[0] * d + q[1] * c - q[2] * b + q[3] * cosine
+
+
+@njit
+def multiply(p: np.ndarray, q: np.ndarray, out: np.ndarray) -> None:
+    """`out = p (x) q`."""
+    out[0] = p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3]
+    out[1] = p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2]
+    out[2] = p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1]
+    out[3] = p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0]
+
+
+@njit
+def rotation_between(p: np.ndarray, q: np.ndarray, out: np.ndarray) -> None:
+    """`out = r` (3,) rad with `q = p (x) exp_q(r)`, the short way round: the inverse of `turn`."""
+    a = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
+    b = p[0] * q[1] - p[1] * q[0] - p[2] * q[3] + p[3] * q[2]
+    c = p[0] * q[2] + p[1] * q[3] - p[2] * q[0] - p[3] * q[1]
+    d = p[0] * q[3] - p[1] * q[2] + p[2] * q[1] - p[3] * q[0]
+    sine = math.sqrt(b * b + c * c + d * d)
+    if a < 0.0:
+        a, b, c, d = -a, -b, -c, -d
+    scale = 2.0 / a if sine < 1e-8 * a else 2.0 * math.atan2(sine, a) / sine
+    out[0] = scale * b
+    out[1] = scale * c
+    out[2] = scale * d
+
+
+@njit
+def normalise(q: np.ndarray) -> None:
+    """`q / |q|` in place, of the first four elements."""
+    scale = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    for i in range(4):
+        q[i] *= scale
+
+
+@njit
+def to_body(q: np.ndarray, x: float, y: float, z: float, out: np.ndarray) -> None:
+    """`out = C_bn(q) (x, y, z)`: navigation vector to body axes; homogeneous of degree 2 in q, as W in paper 000."""
+    a, b, c, d = q[0], q[1], q[2], q[3]
+    aa, bb, cc, dd = a * a, b * b, c * c, d * d
+    out[0] = (aa + bb - cc - dd) * x + 2.0 * ((b * c + a * d) * y + (b * d - a * c) * z)
+    out[1] = (aa - bb + cc - dd) * y + 2.0 * ((b * c - a * d) * x + (c * d + a * b) * z)
+    out[2] = (aa - bb - cc + dd) * z + 2.0 * ((b * d + a * c) * x + (c * d - a * b) * y)
+
+
+@njit
+def to_nav(q: np.ndarray, x: float, y: float, z: float, out: np.ndarray) -> None:
+    """`out = C_nb(q) (x, y, z)`: body vector to navigation axes."""
+    a, b, c, d = q[0], q[1], q[2], q[3]
+    aa, bb, cc, dd = a * a, b * b, c * c, d * d
+    out[0] = (aa + bb - cc - dd) * x + 2.0 * ((b * c - a * d) * y + (b * d + a * c) * z)
+    out[1] = (aa - bb + cc - dd) * y + 2.0 * ((b * c + a * d) * x + (c * d - a * b) * z)
+    out[2] = (aa - bb - cc + dd) * z + 2.0 * ((b * d - a * c) * x + (c * d + a * b) * y)
+
+
+@njit
+def to_body_by_q(q: np.ndarray, x: float, y: float, z: float, out: np.ndarray) -> None:
+    """`out` (3, 4): derivative of `to_body` with respect to the four elements of q."""
+    a, b, c, d = 2.0 * q[0], 2.0 * q[1], 2.0 * q[2], 2.0 * q[3]
+    out[0, 0] = a * x + d * y - c * z
+    out[0, 1] = b * x + c * y + d * z
+    out[0, 2] = -c * x + b * y - a * z
+    out[0, 3] = -d * x + a * y + b * z
+    out[1, 0] = -d * x + a * y + b * z
+    out[1, 1] = c * x - b * y + a * z
+    out[1, 2] = b * x + c * y + d * z
+    out[1, 3] = -a * x - d * y + c * z
+    out[2, 0] = c * x - b * y + a * z
+    out[2, 1] = d * x - a * y - b * z
+    out[2, 2] = a * x + d * y - c * z
+    out[2, 3] = b * x + c * y + d * z
+
+
+@njit
+def attitude_matrix(q: np.ndarray, out: np.ndarray) -> None:
+    """`out = C_bn(q)` (3, 3), columns are the north, east and down axes seen from the body."""
+    a, b, c, d = q[0], q[1], q[2], q[3]
+    out[0, 0] = a * a + b * b - c * c - d * d
+    out[0, 1] = 2.0 * (b * c + a * d)
+    out[0, 2] = 2.0 * (b * d - a * c)
+    out[1, 0] = 2.0 * (b * c - a * d)
+    out[1, 1] = a * a - b * b + c * c - d * d
+    out[1, 2] = 2.0 * (c * d + a * b)
+    out[2, 0] = 2.0 * (b * d + a * c)
+    out[2, 1] = 2.0 * (c * d - a * b)
+    out[2, 2] = a * a - b * b - c * c + d * d
+
+
+@njit
+def from_matrix(C_bn: np.ndarray, out: np.ndarray) -> None:
+    """`out = q_nb` of a rotation matrix, by the largest element (Shepperd), scalar part not negative."""
+    xx, yy, zz = C_bn[0, 0], C_bn[1, 1], C_bn[2, 2]
+    trace = xx + yy + zz
+    if trace >= max(xx, yy, zz):
+        out[0], out[1] = 1.0 + trace, C_bn[1, 2] - C_bn[2, 1]
+        out[2], out[3] = C_bn[2, 0] - C_bn[0, 2], C_bn[0, 1] - C_bn[1, 0]
+    elif xx >= max(yy, zz):
+        out[0], out[1] = C_bn[1, 2] - C_bn[2, 1], 1.0 + xx - yy - zz
+        out[2], out[3] = C_bn[0, 1] + C_bn[1, 0], C_bn[0, 2] + C_bn[2, 0]
+    elif yy >= zz:
+        out[0], out[1] = C_bn[2, 0] - C_bn[0, 2], C_bn[0, 1] + C_bn[1, 0]
+        out[2], out[3] = 1.0 - xx + yy - zz, C_bn[1, 2] + C_bn[2, 1]
+    else:
+        out[0], out[1] = C_bn[0, 1] - C_bn[1, 0], C_bn[0, 2] + C_bn[2, 0]
+        out[2], out[3] = C_bn[1, 2] + C_bn[2, 1], 1.0 - xx - yy + zz
+    normalise(out)
+    if out[0] < 0.0:
+        for i in range(4):
+            out[i] = -out[i]
+
+
+@njit
+def euler(q: np.ndarray) -> tuple[float, float, float]:
+    """Roll, pitch, yaw (rad, yaw in -pi..pi) of q_nb: paper 000 eq. (17) with its names set right."""
+    a, b, c, d = q[0], q[1], q[2], q[3]
+    roll = math.atan2(2.0 * (a * b + c * d), 1.0 - 2.0 * (b * b + c * c))
+    pitch = math.asin(min(1.0, max(-1.0, 2.0 * (a * c - b * d))))
+    yaw = math.atan2(2.0 * (a * d + b * c), 1.0 - 2.0 * (c * c + d * d))
+    return roll, pitch, yaw
+
+
+@njit
+def from_euler(roll: float, pitch: float, yaw: float, out: np.ndarray) -> None:
+    """`out = q_nb` of roll, pitch, yaw (rad)."""
+    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
+    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
+    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    out[0] = cr * cp * cy + sr * sp * sy
+    out[1] = sr * cp * cy - cr * sp * sy
+    out[2] = cr * sp * cy + sr * cp * sy
+    out[3] = cr * cp * sy - sr * sp * cy
+
+
+@njit
+def wrap(angle: float) -> float:
+    """`angle` in (-pi, pi]."""
+    wrapped = math.fmod(angle + math.pi, 2.0 * math.pi)
+    return wrapped + math.pi if wrapped <= 0.0 else wrapped - math.pi
+
+
+@njit
+def triad(down_b: np.ndarray, mag_b: np.ndarray, mag_n: np.ndarray, out: np.ndarray) -> bool:
+    """`out = q_nb` from two directions (TRIAD): down exactly, the magnetic field for the heading alone.
+
+    `down_b`, `mag_b` and `mag_n` need not be unit vectors; `mag_n` carries the declination. False, and `out` untouched,
+    when a vector vanishes or the field is vertical.
+    """
+    north = math.hypot(mag_n[0], mag_n[1])
+    length = math.sqrt(down_b[0] ** 2 + down_b[1] ** 2 + down_b[2] ** 2)
+    if not (north > 0.0 and length > 0.0):
+        return False
+    dx, dy, dz = down_b[0] / length, down_b[1] / length, down_b[2] / length
+    ex = dy * mag_b[2] - dz * mag_b[1]
+    ey = dz * mag_b[0] - dx * mag_b[2]
+    ez = dx * mag_b[1] - dy * mag_b[0]
+    length = math.sqrt(ex * ex + ey * ey + ez * ez)
+    if not length > 0.0:
+        return False
+    ex, ey, ez = ex / length, ey / length, ez / length  # magnetic east
+    cosine, sine = mag_n[0] / north, mag_n[1] / north  # of the declination
+    nx, ny, nz = ey * dz - ez * dy, ez * dx - ex * dz, ex * dy - ey * dx  # magnetic north
+    C_bn = np.empty((3, 3))
+    C_bn[0, 0], C_bn[0, 1], C_bn[0, 2] = cosine * nx - sine * ex, sine * nx + cosine * ex, dx
+    C_bn[1, 0], C_bn[1, 1], C_bn[1, 2] = cosine * ny - sine * ey, sine * ny + cosine * ey, dy
+    C_bn[2, 0], C_bn[2, 1], C_bn[2, 2] = cosine * nz - sine * ez, sine * nz + cosine * ez, dz
+    from_matrix(C_bn, out)
+    return True
