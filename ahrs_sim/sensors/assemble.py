@@ -94,11 +94,15 @@ class _Latch:
         columns = blank(cls, 1)
         columns["stamp_ns"][:] = columns["arrival_ns"][:] = _NEVER
         self._held: Any = cls(**columns)  # the latched record, then those that have not arrived yet
+        self._count = 1
 
     def process(self, records: Any, arrival: np.ndarray) -> tuple[Any, np.ndarray]:
         """The latched record at each of the IMU's `arrival` (n,) ns, as one block (n rows), and the `new` mask (n,)."""
-        if records is not None and len(records):
+        fresh = len(records.stamp_ns) if records is not None else 0
+        if fresh:
             self._held = type(records).concatenate([self._held, records])
+        elif len(arrival) == 1 and self._count == 1:  # nothing waits, one row: the rule when an estimator flies
+            return self._held, np.zeros(1, bool)
         last = np.searchsorted(self._held.arrival_ns, arrival, side="right") - 1
         new = np.empty(len(last), bool)
         if len(last):
@@ -107,4 +111,5 @@ class _Latch:
         latched = self._held[last]
         if len(last) and last[-1] > 0:
             self._held = self._held[int(last[-1]) :]
+        self._count = len(self._held.stamp_ns)
         return latched, new

@@ -6,7 +6,7 @@
   stationary distribution.
 * Flicker (bias instability B): Gauss-Markov terms one decade apart, T = 0.1 s ... 1e4 s, each with
   sigma = B sqrt(ln 10 / pi), whose Allan deviation is flat at 0.664 B within 4 % from 0.5 s to 2000 s.
-* Random walk: x <- x + K sqrt(dt) n, an Allan variance K^2 tau / 3; starts from zero, having no stationary distribution.
+* Random walk: x <- x + K sqrt(dt) n, Allan variance K^2 tau / 3; starts from zero, having no stationary distribution.
 
 Every process draws row by row from a generator of its own, so that neither the length of blocks nor other processes
 matter.

@@ -52,12 +52,18 @@ class Sky:
         self._figures = figures
         self._offset = satellites.seconds_since_epoch(epoch)
         self._faults = faults
+        self._last: tuple[np.ndarray, np.ndarray] | None = None
 
     def count(self, t: np.ndarray, lla: np.ndarray, q_nb: np.ndarray) -> np.ndarray:
         """Number (m,) at `t` (m,) s, `lla` (m, 3), `q_nb` (m, 4)."""
+        # Position and heading receivers mostly ask for the same instants.
+        if self._last is not None and np.array_equal(self._last[0], t):
+            return self._last[1]
         f = self._figures
         seen = satellites.in_view(self._offset + t, lla, q_nb, f.mask, f.shadow)
-        return np.asarray(np.minimum(seen, self._faults.most_satellites(t)))
+        count = np.asarray(np.minimum(seen, self._faults.most_satellites(t)))
+        self._last = (t, count)
+        return count
 
 
 class Lock:

@@ -49,8 +49,8 @@ class Imu:
         self.gyro = Triad("gyro", gyro, fitting, every, self._earliest)
         self.accel = Triad("accelerometer", accel, fitting, every, self._earliest)
         motor = fitting.figures("motor", MotorFigures)
-        self._gyro_shake = Vibration(motor, gyro, self.gyro.band.cutoff, fitting, every, "gyro")
-        self._accel_shake = Vibration(motor, accel, self.accel.band.cutoff, fitting, every, "accelerometer")
+        cutoffs = self.gyro.band.cutoff, self.accel.band.cutoff
+        self._vibration = Vibration(motor, gyro, accel, cutoffs, fitting, every)
         self._clock_noise = fitting.stream("imu", "clock")
         self._heat = Lag(f.warm_up_time, self.period)
         self._cold: float | None = None  # K, at switch-on
@@ -95,13 +95,12 @@ class Imu:
         if n:
             _force_at(truth.accel_b, truth.rate_ib_b, truth.rate_dot_b, truth.cg_b, self.position, force_b)
         temperature, warmth = self._temperature(truth.temperature[rows])
-        gyro_shake, _ = self._gyro_shake.process(truth.rpm, rows, m)
-        accel_shake, rms2 = self._accel_shake.process(truth.rpm, rows, m)
+        shake, rms2 = self._vibration.process(truth.rpm, rows, m)
         accel, clipped, accel_bias, force = self.accel.process(
-            force_b, rows, slot, extra, accel_shake, None, rms2, warmth
+            force_b, rows, slot, extra, shake[:, 3:], None, rms2, warmth
         )
         gyro, over, gyro_bias, _ = self.gyro.process(
-            truth.rate_ib_b, rows, slot, extra, gyro_shake, force, rms2, warmth
+            truth.rate_ib_b, rows, slot, extra, shake[:, :3], force, rms2, warmth
         )
         now = truth.t[-1] if n else 0.0
         stamp_ns, arrival_ns = nanoseconds(stamp), nanoseconds(slot)

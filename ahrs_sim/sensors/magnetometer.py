@@ -17,7 +17,7 @@ from ahrs_sim.sensors.fitting import Fitting
 from ahrs_sim.sensors.grade import figure
 from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import MagRecord, Record
-from ahrs_sim.sensors.signal import Clock, nanoseconds
+from ahrs_sim.sensors.signal import Clock, nanoseconds, pick
 from ahrs_sim.sensors.triad import Triad, TriadFigures
 from ahrs_sim.world import magnetic
 
@@ -42,6 +42,7 @@ class Magnetometer:
         every = fitting.every(f.rate, "magnetometer")
         self.period = every * fitting.dt
         self._clock = Clock(every)
+        self._held = np.zeros(3)  # T, NED, at the last sample
         self._faults = fitting.faults
         self._epoch = fitting.epoch
         self.triad = Triad("magnetometer", f, fitting, every)
@@ -74,11 +75,12 @@ class Magnetometer:
         rows = self._clock.rows(n)
         t = truth.t[rows]
         field_b = np.empty((n, 3))
-        if n:
-            field_n = magnetic.field_n(truth.lla, self._epoch) + self.model_error
-            if self._faults.fields:
-                field_n += self._faults.field_n(truth.t)
-            _field_in_body(field_n, truth.q_nb, truth.throttle, self.motor_field, field_b)
+        # Between two samples the aircraft moves by metres and the field by picotesla: held.
+        field_n = magnetic.field_n(pick(truth.lla, rows), self._epoch) if len(t) else np.empty((0, 3))
+        here = field_n + self.model_error
+        external = self._faults.field_n(truth.t) if self._faults.fields else np.zeros((n, 3))
+        _field_in_body(here, rows.start, self._clock.every, self._held, external, truth.q_nb, truth.throttle,
+                       self.motor_field, field_b)  # fmt: skip
         values, saturated, _, _ = self.triad.process(field_b, rows, t, np.zeros(len(t)))
         ns = nanoseconds(t)
         sent = self._outbox.post(MagRecord(ns, ns, values, saturated), t, truth.t[-1] if n else 0.0)
@@ -87,12 +89,18 @@ class Magnetometer:
 
 @njit
 def _field_in_body(
-    field_n: np.ndarray, q_nb: np.ndarray, throttle: np.ndarray, motor: np.ndarray, out: np.ndarray
-) -> None:
-    """C_bn(q) B + motor field x throttle, rows (n, 3)."""
+    field_n: np.ndarray, first: int, every: int, held: np.ndarray, external: np.ndarray, q_nb: np.ndarray,
+    throttle: np.ndarray, motor: np.ndarray, out: np.ndarray,
+) -> None:  # fmt: skip
+    """C_bn(q) (B + external) + motor field x throttle, rows (n, 3); B (m, 3) at the samples, `held` (3,) between them."""
+    m = 0
     for i in range(out.shape[0]):
+        if i == first + m * every and m < field_n.shape[0]:
+            for j in range(3):
+                held[j] = field_n[m, j]
+            m += 1
         a, b, c, d = q_nb[i, 0], q_nb[i, 1], q_nb[i, 2], q_nb[i, 3]
-        x, y, z = field_n[i, 0], field_n[i, 1], field_n[i, 2]
+        x, y, z = held[0] + external[i, 0], held[1] + external[i, 1], held[2] + external[i, 2]
         k = throttle[i] if throttle[i] == throttle[i] else 0.0
         out[i, 0] = (
             (a * a + b * b - c * c - d * d) * x + 2.0 * (b * c + a * d) * y + 2.0 * (b * d - a * c) * z + k * motor[0]

@@ -24,6 +24,7 @@ class Outbox:
         self._channel = channel
         self._latency_ns = round(latency * 1e9)
         self._waiting: Any = self._empty
+        self._held = 0  # records waiting
         self._last = np.iinfo(np.int64).min  # ns, latest arrival so far
 
     def post(self, records: Any, t: np.ndarray, now: float) -> Any:
@@ -33,13 +34,13 @@ class Outbox:
             What has arrived by `now` (s), of these and earlier ones.
         """
         touched = self._channel.deliver(t)
-        if touched is None and not self._latency_ns and not len(self._waiting):
-            if len(records):
+        if touched is None and not self._latency_ns and not self._held:
+            if len(t):
                 self._last = max(self._last, int(records.arrival_ns[-1]))
             return records
-        if len(records):
+        if len(t):
             arrival = records.arrival_ns + self._latency_ns
-            keep = np.ones(len(records), bool)
+            keep = np.ones(len(t), bool)
             if touched is not None:
                 keep = touched[0]
                 arrival = arrival + np.rint(touched[1] * 1e9).astype(np.int64)
@@ -48,13 +49,17 @@ class Outbox:
             if len(arrival):
                 self._last = int(arrival[-1])
                 kept = dataclasses.replace(records[keep], arrival_ns=arrival)
-                self._waiting = type(records).concatenate([self._waiting, kept]) if len(self._waiting) else kept
+                self._waiting = type(records).concatenate([self._waiting, kept]) if self._held else kept
+                self._held += len(arrival)
         return self.wait(now)
 
     def wait(self, now: float) -> Any:
         """What has arrived by `now` (s)."""
-        if not len(self._waiting):
+        if not self._held:
             return self._empty
         there = int(np.searchsorted(self._waiting.arrival_ns, round(now * 1e9), side="right"))
+        if not there:
+            return self._empty
         arrived, self._waiting = self._waiting[:there], self._waiting[there:]
+        self._held -= there
         return arrived

@@ -68,10 +68,6 @@ class BandLimit:
         self._past = np.zeros((int(self._lag + longest / dt) + 3, 3))
         self._count = np.zeros(1, np.int64)
 
-    def gain(self, frequency: float) -> float:
-        """Gain of the analogue prototype at `frequency` (Hz), for signals above half the truth's rate."""
-        return 1.0 / math.sqrt(1.0 + (frequency / self.cutoff) ** 4) if self.cutoff > 0.0 else 1.0
-
     def process(self, x: np.ndarray, rows: slice, extra: np.ndarray) -> np.ndarray:
         """Filtered, delayed samples (m, 3) of `x` (n, 3) at `rows`; `extra` (m,) s: more delay of each sample."""
         if self._state is None:  # as if the first value had always been there: no transient

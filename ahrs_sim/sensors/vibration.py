@@ -25,62 +25,75 @@ class MotorFigures:
 
 
 class Vibration:
-    """Vibration of one triad.
+    """Vibration of gyro and accelerometer: six columns, gyro first.
 
     Args:
         motor: the motor's figures.
-        figures: of the triad: `vibration_line`, `vibration_band`.
-        cutoff: Hz of the sensor's low-pass, 0: none.
-        fitting: of its suite.
+        gyro: the figures of each: `vibration_line`, `vibration_band`.
+        accel: the same.
+        cutoffs: Hz of their low-passes, 0: none.
+        fitting: of the suite.
         every: rows of the truth per sample.
-        name: of the triad: its generator gives the phases of the lines, then the band.
     """
 
     def __init__(
-        self, motor: MotorFigures, figures: InertialFigures, cutoff: float, fitting: Fitting, every: int, name: str
+        self,
+        motor: MotorFigures,
+        gyro: InertialFigures,
+        accel: InertialFigures,
+        cutoffs: tuple[float, float],
+        fitting: Fitting,
+        every: int,
     ) -> None:
-        rng = fitting.stream(name, "vibration")
-        self._amplitudes = np.outer(motor.harmonics, figures.vibration_line)
-        self._band = figures.vibration_band
-        self._phases = rng.uniform(0.0, 2.0 * math.pi, (3, 3))
+        rng = fitting.stream("imu", "vibration")
+        phases = rng.uniform(0.0, 2.0 * math.pi, (3, 6))
+        lines = np.outer(motor.harmonics, np.concatenate([gyro.vibration_line, accel.vibration_line]))
+        self._sin, self._cos = lines * np.cos(phases), lines * np.sin(phases)
+        self._band = np.concatenate([gyro.vibration_band, accel.vibration_band])
+        # Mean square at the reference speed of what shakes the accelerometer, ahead of its low-pass.
+        self._power = float(0.5 * np.sum(lines[:, 3:] ** 2) + np.sum(accel.vibration_band**2))
         self._state = np.zeros(1)
-        self._numbers = (motor.reference, cutoff, fitting.dt, every)
+        self._numbers = (motor.reference, float(cutoffs[0]), float(cutoffs[1]), fitting.dt, every)
         self._rng = rng
-        self.silent = not (self._amplitudes.any() or self._band.any())
+        self._silent = not (lines.any() or self._band.any())
 
     def process(self, rpm: np.ndarray, rows: slice, m: int) -> tuple[np.ndarray, np.ndarray]:
-        """Vibration (m, 3) at the sampled `rows` of `rpm` (n,), and the mean square (m,) ahead of the low-pass."""
-        out, square = np.zeros((m, 3)), np.zeros(m)
-        if not self.silent:
-            draws = self._rng.standard_normal((m, 3))
-            _vibrate(rpm, rows.start, *self._numbers, self._amplitudes, self._band, self._phases, draws, self._state,
-                     out, square)  # fmt: skip
+        """Vibration (m, 6) at the sampled `rows` of `rpm` (n,), and the mean square acceleration (m,), (m/s2)^2."""
+        out, square = np.zeros((m, 6)), np.zeros(m)
+        if not self._silent:
+            draws = self._rng.standard_normal((m, 6))
+            _vibrate(rpm, rows.start, *self._numbers, self._sin, self._cos, self._band, self._power, draws,
+                     self._state, out, square)  # fmt: skip
         return out, square
 
 
 @njit
 def _vibrate(
-    rpm: np.ndarray, first: int, reference: float, cutoff: float, dt: float, every: int, amplitudes: np.ndarray,
-    band: np.ndarray, phases: np.ndarray, draws: np.ndarray, state: np.ndarray, out: np.ndarray, square: np.ndarray,
+    rpm: np.ndarray, first: int, reference: float, gyro_cutoff: float, accel_cutoff: float, dt: float, every: int,
+    in_phase: np.ndarray, in_quadrature: np.ndarray, band: np.ndarray, power: float, draws: np.ndarray,
+    state: np.ndarray, out: np.ndarray, square: np.ndarray,
 ) -> None:  # fmt: skip
-    """Row h of `amplitudes` (3, 3) and `phases` belongs to harmonic h + 1; `state` is the shaft's angle, rad."""
+    """Row h of the amplitudes (3, 6) belongs to harmonic h + 1; `state` is the shaft's angle, rad."""
+    turn = 2.0 * math.pi
     m = 0
     for i in range(rpm.shape[0]):
         speed = max(rpm[i], 0.0) if rpm[i] == rpm[i] else 0.0
-        state[0] = (state[0] + 2.0 * math.pi * speed / 60.0 * dt) % (2.0 * math.pi)
+        state[0] += turn * speed / 60.0 * dt
+        while state[0] >= turn:
+            state[0] -= turn
         if i != first + m * every or m >= out.shape[0]:
             continue
         if speed > 0.0:
             level = (speed / reference) ** 2
-            for k in range(3):
+            square[m] = level * level * power
+            for k in range(6):
                 out[m, k] = level * band[k] * draws[m, k]
-                square[m] += (level * band[k]) ** 2
             for h in range(3):
-                gain = level
-                if cutoff > 0.0:
-                    gain /= math.sqrt(1.0 + ((h + 1) * speed / 60.0 / cutoff) ** 4)
-                for k in range(3):
-                    a = amplitudes[h, k]
-                    out[m, k] += gain * a * math.sin((h + 1) * state[0] + phases[h, k])
-                    square[m] += 0.5 * (level * a) ** 2
+                s, c = level * math.sin((h + 1) * state[0]), level * math.cos((h + 1) * state[0])
+                frequency = (h + 1) * speed / 60.0
+                for part in range(2):
+                    cutoff = gyro_cutoff if part == 0 else accel_cutoff
+                    gain = 1.0 / math.sqrt(1.0 + (frequency / cutoff) ** 4) if cutoff > 0.0 else 1.0
+                    for k in range(3 * part, 3 * part + 3):
+                        out[m, k] += gain * (in_phase[h, k] * s + in_quadrature[h, k] * c)
         m += 1

@@ -2,7 +2,7 @@
 
 Slots: GPS Standard Positioning Service Performance Standard, table of the 24 nominal slots (epoch 1993-07-01T00:00Z,
 six planes of 55 degrees, circular orbits). Frozen: no perturbation, no satellite ever moved, and no almanac is needed.
-Good for how many there are and how that changes with time, place and attitude; not for where a given satellite is today.
+Good for how many there are and how that changes with time, place and attitude; not for where one of them is today.
 """
 
 import datetime
