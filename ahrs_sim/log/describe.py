@@ -1,0 +1,66 @@
+"""The reference part of `logs/README.md`: every topic, type, field, unit and frame, from what the code writes.
+
+`python -m ahrs_sim.log.describe logs/README.md` renews it; a test says when that is due.
+"""
+
+import re
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+from ahrs_sim.log import messages, record
+from ahrs_sim.log.record import Route
+
+BEGIN, END = "<!-- from here on: python -m ahrs_sim.log.describe -->", "<!-- to here -->"
+
+
+def reference() -> str:
+    """Tables of all topics and of our own types, in Markdown."""
+    suite = [_behind("/<suite>", route) for _, route in record.INSTRUMENTS.values()]
+    suite += [_behind("/<suite>", route) for route in record.STATUS.values()]
+    suite.append(_behind("/<suite>", record.TEMPERATURE))
+    estimator = [_behind("/est/<name>", route) for route in (record.STATE, record.ESTIMATED_IMU)]
+    parts = ["## Topics", "", "### Truth", "", *_topics((*record.TRUTH, record.TRUTH_FIX, record.TF, record.TF_STATIC))]
+    parts += ["", "### Each sensor suite", "", *_topics(suite)]
+    parts += ["", "### Each estimator", "", *_topics(estimator)]
+    parts += ["", "### Pilot and events", "", *_topics((record.SETPOINTS, record.EVENTS)), ""]
+    parts += ["## Types of our own", ""]
+    for name in messages.type_names():
+        if name.startswith("ahrs_sim_msgs/"):
+            parts += [f"### {name}", "", *_fields(name), ""]
+    return "\n".join(parts).rstrip() + "\n"
+
+
+def _behind(prefix: str, route: Route) -> Route:
+    return Route(prefix + route.topic, route.type_name, route.frame, route.about)
+
+
+def _topics(routes: Iterable[Route]) -> list[str]:
+    rows = ["| topic | type | frame | |", "|---|---|---|---|"]
+    for r in routes:
+        frame = f"`{r.frame}`" if r.frame else ""
+        rows.append(f"| `{r.topic}` | `{r.type_name}` | {frame} | {r.about} |")
+    return rows
+
+
+def _fields(name: str) -> list[str]:
+    rows = ["| field | type | |", "|---|---|---|"]
+    for line in messages.definition(name).splitlines():
+        declared, _, about = line.partition("#")
+        kind, field, *_ = declared.split()
+        if "=" not in declared and field != "header":
+            rows.append(f"| `{field}` | `{kind}` | {about.strip()} |")
+    return rows
+
+
+def renewed(text: str) -> str:
+    """`text` with the reference between its two marks made anew."""
+    pattern = re.compile(f"{re.escape(BEGIN)}.*{re.escape(END)}", re.DOTALL)
+    if not pattern.search(text):
+        raise ValueError("the marks around the reference are missing")
+    return pattern.sub(lambda _: f"{BEGIN}\n\n{reference()}\n{END}", text)
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:]:
+        Path(name).write_text(renewed(Path(name).read_text()))
