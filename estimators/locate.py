@@ -1,7 +1,7 @@
 """Where an emitter is: the Gaussian sum on the emitter model, look by look (paper 003, section 3.2.4).
 
-locator = EmitterLocator(coarse_bearing=math.radians(50), every=9)
-fixes = locator.process(looks)
+    locator = EmitterLocator(coarse_bearing=math.radians(50.0), every=9)
+    fixes = locator.process(looks)
 """
 
 import math
@@ -88,8 +88,20 @@ def _select(track: _Track, x: np.ndarray, u: np.ndarray) -> None:
 
 
 @njit
-def _run(method: Any, model: Any, bank: Bank, track: _Track, work: Work, limits: _Limits, t: np.ndarray, u: np.ndarray, z: np.ndarray, out: Any, first: int) -> int:  # fmt: skip
-    """Looks `first` to the last into `out`; returns how many rows are done: fewer than there are when the bank is lost."""
+def _run(
+    method: Any,
+    model: Any,
+    bank: Bank,
+    track: _Track,
+    work: Work,
+    limits: _Limits,
+    t: np.ndarray,
+    u: np.ndarray,
+    z: np.ndarray,
+    out: Any,
+    first: int,
+) -> int:
+    """Looks `first` to the last into `out`; returns the rows done, fewer than there are when the bank is lost."""
     used, noise = np.zeros(2, np.bool_), np.zeros((2, 2))
     for k in range(first, t.shape[0]):
         usable = t[k] > track.clock[0]
@@ -112,14 +124,14 @@ def _run(method: Any, model: Any, bank: Bank, track: _Track, work: Work, limits:
         if status == _RUNNING:
             _select(track, out.position[k], u[k])
         heaviest = bank.log_weight[0]
-        for i in range(1, bank.count[0]):
+        for i in range(1, bank.alive[0]):
             heaviest = max(heaviest, bank.log_weight[i])
         out.status[k] = status
-        out.terms[k] = bank.count[0]
+        out.terms[k] = bank.alive[0]
         out.weight[k] = math.exp(heaviest)
         for a in range(2):
             out.output[k, a] = track.output[a]
-    return t.shape[0]
+    return len(t)
 
 
 class EmitterLocator:
@@ -175,7 +187,7 @@ class EmitterLocator:
             self.model = Emitter.make(**emitter)
         except TypeError as error:
             raise SettingError(f"emitter: {str(error).split(') ', 1)[-1]}") from None
-        self._hypotheses = {
+        self._hypotheses: dict[str, Any] = {
             "coarse": coarse_bearing, "coarse_sigma": coarse_sigma, "every": int(every), "bearing_sigma": bearing_sigma
         }  # fmt: skip
         self._limits = _Limits(float(merge_below), float(prune_below), float(phase_limit))

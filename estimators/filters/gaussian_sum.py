@@ -1,9 +1,9 @@
 """Gaussian sum filter (Alspach and Sorenson 1972; paper 003, section 3): a bank of filters, weighted by likelihood.
 
-A density with several peaks is a sum of Gaussian terms. Each goes through a filter of its own (any of this package, on any model
-whose state is a plain vector), its weight times the likelihood of the innovation, eq. (17)-(27). Terms that have become one
-are merged, those that have become impossible are pruned, section 3.2.3. Weights are kept as logarithms: after a
-few good measurements those of wrong terms are smaller than the smallest number.
+A density with several peaks is a sum of Gaussian terms. Each goes through a filter of its own (any of this package, on
+any model whose state is a plain vector), its weight times the likelihood of the innovation, eq. (17)-(27). Terms that
+have become one are merged, those that have become impossible are pruned, section 3.2.3. Weights are kept as logarithms:
+after a few good measurements those of wrong terms are smaller than the smallest number.
 """
 
 import math
@@ -18,28 +18,30 @@ from estimators.models.base import ROWS, START, constrain, measurement_noise, re
 
 
 class Bank(NamedTuple):
-    """The terms; the first `count[0]` rows are alive."""
+    """The terms; the first `alive[0]` rows are alive."""
 
     x: np.ndarray  # (terms, n) means
     P: np.ndarray  # (terms, n, n) covariances
     log_weight: np.ndarray  # (terms,) logarithms of weights that sum to one
-    count: np.ndarray  # (1,) int64
+    alive: np.ndarray  # (1,) int64
 
     @classmethod
     def make(cls, means: np.ndarray, covariances: np.ndarray, weights: np.ndarray | None = None) -> "Bank":
-        """A bank of terms with means (terms, n), covariances (terms, n, n), weights (terms,) or, by default, equal ones."""
+        """A bank of means (terms, n), covariances (terms, n, n) and weights (terms,), by default equal ones."""
         terms = len(means)
         weights = np.ones(terms) if weights is None else np.asarray(weights, float)
         return cls(
             x=np.array(means, float, order="C"),
             P=np.array(covariances, float, order="C"),
             log_weight=np.log(weights / weights.sum()),
-            count=np.array([terms]),
+            alive=np.array([terms]),
         )
 
 
 @njit
-def _update(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray, work: Work) -> float:  # fmt: skip
+def _update(
+    method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray, work: Work
+) -> float:
     """Condition one term on a row of measurements; returns its log likelihood, eq. (27), -inf when the term is lost."""
     likelihood = 0.0
     for g in range(model.layout.groups.shape[0]):
@@ -72,7 +74,7 @@ def _update(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarray
 @njit
 def normalise_weights(bank: Bank) -> bool:
     """Let the weights sum to one, eq. (26); False when no term is possible any more."""
-    count = bank.count[0]
+    count = bank.alive[0]
     largest = -math.inf
     for i in range(count):
         largest = max(largest, bank.log_weight[i])
@@ -87,18 +89,20 @@ def normalise_weights(bank: Bank) -> bool:
 
 
 @njit
-def step(method: Any, model: Any, bank: Bank, work: Work, u: np.ndarray, z: np.ndarray, used: np.ndarray, dt: float) -> bool:  # fmt: skip
+def step(
+    method: Any, model: Any, bank: Bank, work: Work, u: np.ndarray, z: np.ndarray, used: np.ndarray, dt: float
+) -> bool:
     """Predict every term by dt seconds (not when dt is zero), condition it on z (rows,) where `used`, weigh it.
 
     A term that is numerically lost gets no weight. Returns False when all are: the bank is then void.
     """
-    for i in range(bank.count[0]):
+    for i in range(bank.alive[0]):
         x, P = bank.x[i], bank.P[i]
         if dt > 0.0 and not predict(method, model, x, P, u, dt, work):
             bank.log_weight[i] = -math.inf
             continue
         bank.log_weight[i] += _update(method, model, x, P, u, z, used, work)
-    return normalise_weights(bank)
+    return bool(normalise_weights(bank))
 
 
 @njit
@@ -109,11 +113,11 @@ def mean_and_covariance(bank: Bank, x: np.ndarray, P: np.ndarray) -> None:
         x[a] = 0.0
         for b in range(n):
             P[a, b] = 0.0
-    for i in range(bank.count[0]):
+    for i in range(bank.alive[0]):
         weight = math.exp(bank.log_weight[i])
         for a in range(n):
             x[a] += weight * bank.x[i, a]
-    for i in range(bank.count[0]):
+    for i in range(bank.alive[0]):
         weight = math.exp(bank.log_weight[i])
         for a in range(n):
             for b in range(n):
@@ -144,7 +148,7 @@ def distance2(bank: Bank, i: int, j: int, both: np.ndarray, L: np.ndarray, apart
 
 @njit
 def merge_pair(bank: Bank, i: int, j: int) -> None:
-    """Term i takes in term j, keeping weight, mean and covariance of the two, eq. (31)-(33); j is left without weight."""
+    """Term i takes in term j, keeping weight, mean and covariance of the two, eq. (31)-(33); j loses its weight."""
     n = bank.x.shape[1]
     larger = max(bank.log_weight[i], bank.log_weight[j])
     wi, wj = math.exp(bank.log_weight[i] - larger), math.exp(bank.log_weight[j] - larger)
@@ -161,12 +165,12 @@ def merge_pair(bank: Bank, i: int, j: int) -> None:
 
 @njit
 def reduce_bank(bank: Bank, merge_below: float, prune_below: float) -> None:
-    """Merge the closest pair until none is closer than `merge_below` (in sigmas), then drop weights below `prune_below`."""
+    """Merge the closest two until none are closer than `merge_below` sigmas; drop weights below `prune_below`."""
     n = bank.x.shape[1]
     both, L, apart = np.empty((n, n)), np.empty((n, n)), np.empty(n)
     while True:
         closest, first, second = merge_below * merge_below, -1, -1
-        for i in range(bank.count[0]):
+        for i in range(bank.alive[0]):
             for j in range(i):
                 if bank.log_weight[i] > -math.inf and bank.log_weight[j] > -math.inf:
                     square = distance2(bank, i, j, both, L, apart)
@@ -176,7 +180,7 @@ def reduce_bank(bank: Bank, merge_below: float, prune_below: float) -> None:
             break
         merge_pair(bank, first, second)
     kept = 0
-    for i in range(bank.count[0]):
+    for i in range(bank.alive[0]):
         if bank.log_weight[i] > math.log(prune_below):
             if kept < i:
                 for a in range(n):
@@ -185,5 +189,5 @@ def reduce_bank(bank: Bank, merge_below: float, prune_below: float) -> None:
                         bank.P[kept, a, b] = bank.P[i, a, b]
                 bank.log_weight[kept] = bank.log_weight[i]
             kept += 1
-    bank.count[0] = kept
+    bank.alive[0] = kept
     normalise_weights(bank)

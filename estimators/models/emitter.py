@@ -1,19 +1,19 @@
 """Emitter location from the phase between two antennas (paper 003): where a fixed emitter on the ground is.
 
-The aircraft carries two antennas, d metres apart along the fuselage. An emitter of frequency f at the bearing theta and the range R
-gives, with `k = 2 pi f d / c` and the direction alpha of the baseline (the heading, from the AHRS),
+The aircraft carries two antennas, d metres apart along the fuselage. An emitter of frequency f at the bearing theta and
+the range R gives, with `k = 2 pi f d / c` and the direction alpha of the baseline (the heading, from the AHRS),
 
-    phase        phi  = k cos(theta - alpha), measured modulo 2 pi                          eq. (1)
-    phase rate   phi' = -k sin(theta - alpha) (theta' - alpha')                             eq. (2)
-    bearing rate theta' = (v_x sin(theta) - v_y cos(theta)) / R                             eq. (6)
-    range        R = (v_x sin(theta) - v_y cos(theta)) / (alpha' - phi' / (k sin(theta - alpha)))     eq. (7)
+    phase        phi  = k cos(theta - alpha), measured modulo 2 pi                                        eq. (1)
+    phase rate   phi' = -k sin(theta - alpha) (theta' - alpha')                                           eq. (2)
+    bearing rate theta' = (v_x sin(theta) - v_y cos(theta)) / R                                           eq. (6)
+    range        R = (v_x sin(theta) - v_y cos(theta)) / (alpha' - phi' / (k sin(theta - alpha)))         eq. (7)
 
-State: the emitter's position (x, y), m. All angles are counted from x towards y, so with (x, y) = (north, east) alpha is the heading and
-theta the bearing of navigation, with (x, y) = (east, north) they are those of the paper. Inputs u of a look: own position (2), own
-velocity (2), alpha, alpha'. SI and radians.
+State: the emitter's position (x, y), m. All angles are counted from x towards y: with (x, y) = (north, east) alpha is the
+heading and theta the bearing of navigation, with (x, y) = (east, north) they are those of the paper. Inputs u of a look:
+own position (2), own velocity (2), alpha, alpha'. SI and radians.
 
-The own position, velocity and heading are measured too. The paper names their errors but does not say where they enter; here
-they add to the measurement noise, to first order (`_measurement_noise`), as if independent from look to look.
+The own position, velocity and heading are measured too. The paper names their errors but not where they enter the
+filter; here they add to the measurement noise, to first order (`look_noise`), as if independent from look to look.
 """
 
 import math
@@ -99,9 +99,9 @@ class Emitter(NamedTuple):
 
 @njit
 def range_from_rate(k: float, theta: float, phase_rate: float, u: np.ndarray) -> float:
-    """Range (m) of an emitter at bearing theta from the phase rate, eq. (7); negative or infinite when they contradict."""
+    """Range (m) of an emitter at bearing theta from the phase rate, eq. (7); not positive when they contradict."""
     across = u[2] * math.sin(theta) - u[3] * math.cos(theta)
-    return across / (u[5] - phase_rate / (k * math.sin(theta - u[4])))
+    return float(across / (u[5] - phase_rate / (k * math.sin(theta - u[4]))))
 
 
 @njit
@@ -212,7 +212,7 @@ def look(model: Any, x: np.ndarray, u: np.ndarray, y: np.ndarray, H: np.ndarray)
 
 @njit
 def look_noise(model: Any, x: np.ndarray, u: np.ndarray, S: np.ndarray) -> None:
-    """Add the noise of a look to the lower half of S (2, 2): phase, phase rate and what the aircraft knows of itself."""
+    """Add the noise of a look to the lower half of S (2, 2): phase, its rate, the aircraft's own state."""
     y, H = np.empty(2), np.empty((2, 2))
     theta = look(model, x, u, y, H)
     away = math.hypot(x[0] - u[0], x[1] - u[1])

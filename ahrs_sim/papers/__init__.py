@@ -1,0 +1,150 @@
+"""What the papers claim and what comes out here: one module a paper, each with `reproduce(quick) -> Reproduction`.
+
+    result = run("emitter")
+    print(result.text())            # or json.dumps(result.as_json())
+
+A module is imported when its paper is run, not before.
+"""
+
+import importlib
+import math
+import textwrap
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+from ahrs_sim.errors import InputError, nearest
+
+_PAPERS = {
+    "emitter": "Gaussian-sum EKF, emitter location with one interferometer baseline",
+}
+"""Modules of this package, with a title."""
+
+Figure = float | str | None
+"""A number (NaN: failed), words, or None: the paper has no such figure."""
+
+_WIDTH = 118
+
+
+class Verdict(StrEnum):
+    """What became of a claim."""
+
+    REPRODUCED = "reproduced"
+    BETTER = "better"
+    NOT = "not reproduced"
+    OWN = "beyond the paper"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One line of a table: what the paper says, what we find under the same conditions."""
+
+    what: str
+    paper: Figure
+    ours: Figure
+    unit: str = ""
+    verdict: Verdict = Verdict.OWN
+    reason: str = ""  # needed when the claim does not hold
+    runs: int = 1  # of the Monte Carlo behind `ours`
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """All claims of one paper."""
+
+    name: str
+    title: str
+    source: str
+    conditions: str
+    claims: Sequence[Claim]
+
+    def as_json(self) -> dict[str, Any]:
+        """Everything, fit for `json.dumps`: a figure that failed (NaN) is the word "failed"."""
+        content = asdict(self)
+        for claim in content["claims"]:
+            for key in ("paper", "ours"):
+                if isinstance(claim[key], float) and not math.isfinite(claim[key]):
+                    claim[key] = "failed"
+        return content
+
+    def text(self) -> str:
+        """A table for people, with the conditions above and the reasons below it."""
+        reasons: list[str] = []
+        rows = [("", "paper", "ours", "unit", "runs", "verdict")]
+        for claim in self.claims:
+            mark = ""
+            if claim.reason:
+                if claim.reason not in reasons:
+                    reasons.append(claim.reason)
+                mark = f" [{reasons.index(claim.reason) + 1}]"
+            figures = (_figure(claim.paper), _figure(claim.ours), claim.unit)
+            rows.append((claim.what, *figures, str(claim.runs), f"{claim.verdict}{mark}"))
+        widths = [max(len(row[i]) for row in rows) for i in range(6)]
+        lines = [f"{self.name}: {self.title}", *_wrapped(self.source), *_wrapped(self.conditions), ""]
+        for what, paper, ours, unit, runs, verdict in rows:
+            line = f"{what:{widths[0]}}  {paper:>{widths[1]}}  {ours:>{widths[2]}}  {unit:{widths[3]}}"
+            lines.append(f"{line}  {runs:>{widths[4]}}  {verdict}".rstrip())
+        for number, reason in enumerate(reasons, 1):
+            lines += _wrapped(f"[{number}] {reason}", indent=4)
+        return "\n".join(lines)
+
+
+def judge(paper: float, ours: float, tolerance: float = 0.25) -> Verdict:
+    """Verdict on a figure of which less is better (an error, a time).
+
+    Args:
+        paper: the paper's figure, NaN when the paper says that it failed.
+        ours: ours, NaN likewise.
+        tolerance: how far, relative to the paper's, a figure may be off and still be the same: papers seldom say how
+            many runs, which percentile, or what their plots were read from.
+    """
+    if math.isnan(paper):
+        return Verdict.REPRODUCED if math.isnan(ours) else Verdict.BETTER
+    if ours < (1.0 - tolerance) * paper:
+        return Verdict.BETTER
+    return Verdict.REPRODUCED if ours <= (1.0 + tolerance) * paper else Verdict.NOT
+
+
+def holds(claim: bool) -> Verdict:
+    """Verdict on a claim that is true or false."""
+    return Verdict.REPRODUCED if claim else Verdict.NOT
+
+
+def names() -> list[str]:
+    """The papers that can be run."""
+    return list(_PAPERS)
+
+
+def title(name: str) -> str:
+    """What the paper is about, one line."""
+    return _PAPERS[name]
+
+
+def run(name: str, quick: bool = False) -> Reproduction:
+    """Reproduce one paper.
+
+    Args:
+        name: see `names`.
+        quick: with a tenth of the Monte Carlo runs or less, to see that it works; the verdicts are then not worth much.
+
+    Raises:
+        InputError: no such paper.
+    """
+    if name not in _PAPERS:
+        raise InputError(f"no paper '{name}'{nearest(name, _PAPERS)}")
+    result = importlib.import_module(f"ahrs_sim.papers.{name}").reproduce(quick)
+    assert isinstance(result, Reproduction)
+    return result
+
+
+def _figure(value: Figure) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, str):
+        return value
+    return "failed" if math.isnan(value) else f"{value:.3g}"
+
+
+def _wrapped(text: str, indent: int = 0) -> list[str]:
+    return textwrap.wrap(text, _WIDTH, subsequent_indent=" " * indent)
