@@ -92,7 +92,7 @@ def _field_in_body(
     field_n: np.ndarray, first: int, every: int, held: np.ndarray, external: np.ndarray, q_nb: np.ndarray,
     throttle: np.ndarray, motor: np.ndarray, out: np.ndarray,
 ) -> None:  # fmt: skip
-    """C_bn(q) (B + external) + motor field x throttle, rows (n, 3); B (m, 3) at the samples, `held` (3,) between them."""
+    """C_bn(q) (B + external) + motor field x throttle, rows (n, 3); B (m, 3) at samples, `held` (3,) between them."""
     m = 0
     for i in range(out.shape[0]):
         if i == first + m * every and m < field_n.shape[0]:
