@@ -131,8 +131,8 @@ def allan_deviation(
     return sizes / rate, sizes, deviation
 
 
-def _mean_square(theta: np.ndarray, lag: int, chunk: int = 1 << 15) -> float:
-    """Mean square of second differences of `theta` (n,) over `lag`; in chunks, which stay in the processor's cache."""
+def _mean_square(theta: np.ndarray, lag: int, chunk: int = 1 << 13) -> float:
+    """Mean square of second differences of `theta` (n,) over `lag`; in chunks that stay in the cache."""
     count = len(theta) - 2 * lag
     total = 0.0
     for i in range(0, count, chunk):
