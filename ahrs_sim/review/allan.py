@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim.errors import InputError
-from ahrs_sim.sensors.errors import ALLAN_FLOOR
+from ahrs_sim.sensors.grade import STANDARD_GRAVITY, parse
+from ahrs_sim.sensors.suite import SECTIONS
 
 _MODEL_ERROR = 0.02
 """Relative error that no point of the fit is thought to be better than: real noise is not quite one of three kinds."""
@@ -192,9 +193,6 @@ def specified(specification: Mapping[str, str], sensor: str) -> dict[str, np.nda
     Returns:
         `density`, `floor`, `walk`, (3,) each, SI; zero where the grade says nothing.
     """
-    from ahrs_sim.sensors.grade import parse
-    from ahrs_sim.sensors.suite import SECTIONS
-
     stated = {}
     for key, text in specification.items():
         section, _, name = key.partition(".")
@@ -209,8 +207,112 @@ def specified(specification: Mapping[str, str], sensor: str) -> dict[str, np.nda
     return found
 
 
-def plot(table: AllanTable, path: Path, *, title: str = "") -> None:
-    """Write a picture of the curve, its confidence and the fit; the format follows the file's name.
+@dataclass(frozen=True)
+class Channel:
+    """One sensor of a log with its Allan table."""
+
+    topic: str
+    sensor: str  # gyro, accelerometer or magnetometer
+    table: AllanTable
+    specified: dict[str, np.ndarray] | None  # what the grade says, for logs of ours
+
+
+_SENSORS = {
+    "sensor_msgs/msg/Imu": {"angular_velocity": "gyro", "linear_acceleration": "accelerometer"},
+    "sensor_msgs/msg/MagneticField": {"magnetic_field": "magnetometer"},
+}
+"""Vector fields of the message types that can be analysed."""
+
+_SHOWN = {
+    "gyro": ("rad/s", 180.0 / math.pi, "deg/s"),
+    "accelerometer": ("m/s2", 1e3 / STANDARD_GRAVITY, "mg"),
+    "magnetometer": ("T", 1e7, "mG"),
+}
+"""Unit in tables of numbers, factor and unit in what people read."""
+
+
+def of_log(path: Path, topics: Sequence[str] = ()) -> list[Channel]:
+    """Allan tables of the sensors in a log of ours or any ROS 2 bag.
+
+    The sensors should have stood still: a flight's own motion is not noise. Of a series with gaps, the longest stretch
+    without is taken.
+
+    Args:
+        path: the log.
+        topics: `Imu` or `MagneticField` topics; none: all `Imu` topics but the truth's and the estimators'.
+
+    Raises:
+        InputError: no such log or topic, a topic of another type, or too few samples.
+    """
+    from ahrs_sim.log.reader import LogReader
+
+    channels = []
+    with LogReader(path) as log:
+        if not topics:
+            imus = [name for name, info in log.topics.items() if info.type_name == "sensor_msgs/msg/Imu"]
+            topics = [t for t in imus if not t.startswith(("/est/", "/truth/"))]
+        if not topics:
+            raise InputError(f"{path}: no Imu topic; name one with --topic")
+        for topic in topics:
+            array = log.read(topic)
+            fields = _SENSORS.get(log.topics[topic].type_name)
+            if fields is None:
+                raise InputError(
+                    f"{path}: {topic}: is a {log.topics[topic].type_name}; give an Imu or MagneticField topic"
+                )
+            stamp = array["header"]["stamp"]
+            t = stamp["sec"] + 1e-9 * stamp["nanosec"]
+            said = log.metadata.get(f"suite {topic.split('/')[1]}")
+            for field, sensor in fields.items():
+                values = np.column_stack([array[field][axis] for axis in "xyz"])
+                rows, rate = _longest(t, values, f"{path}: {topic}")
+                table = allan_table(values[rows], rate, unit=_SHOWN[sensor][0])
+                channels.append(Channel(topic, sensor, table, specified(said, sensor) if said else None))
+    return channels
+
+
+def _longest(t: np.ndarray, values: np.ndarray, where: str) -> tuple[slice, float]:
+    """The longest stretch of samples (n, 3) at `t` (n,) without gaps or missing values, and its mean rate."""
+    if len(t) < 20:
+        raise InputError(f"{where}: {len(t)} samples are too few; give at least 20")
+    breaks = np.diff(t) > 1.5 * np.median(np.diff(t))
+    good = np.isfinite(values).all(axis=1)
+    edges = np.flatnonzero(breaks | ~good[1:] | ~good[:-1]) + 1
+    starts, ends = np.r_[0, edges], np.r_[edges, len(t)]
+    k = int(np.argmax(ends - starts))
+    first, last = int(starts[k]), int(ends[k])
+    if last - first < 20 or t[last - 1] <= t[first]:
+        raise InputError(f"{where}: no stretch of 20 samples without gaps; the Allan deviation needs even samples")
+    return slice(first, last), (last - first - 1) / float(t[last - 1] - t[first])
+
+
+def as_json(channels: Sequence[Channel]) -> list[dict[str, Any]]:
+    """The tables in types that JSON knows, SI."""
+    return [{"topic": c.topic, "sensor": c.sensor, **c.table.json(c.specified)} for c in channels]
+
+
+def text(channels: Sequence[Channel]) -> str:
+    """The tables as a person reads them: fitted and, where known, specified side by side."""
+    lines = []
+    for c in channels:
+        _, factor, unit = _SHOWN[c.sensor]
+        hours = 3600.0 if c.sensor == "gyro" else 1.0
+        shown = {
+            "density": (factor, f"{unit}/sqrt(Hz)", "white noise, single-sided density"),
+            "floor": (factor * hours, "deg/h" if c.sensor == "gyro" else unit, "floor (0.664 bias instability)"),
+            "walk": (factor, f"{unit}/sqrt(s)", "rate random walk"),
+        }
+        lines.append(f"{c.topic} {c.sensor}: {c.table.rate:.6g} Hz, {c.table.duration:.6g} s")
+        for row in c.table.rows(c.specified):
+            scale, name, meaning = shown[row["coefficient"]]
+            said = f"   specified {row['specified'] * scale:8.4g}" if "specified" in row else ""
+            fitted = f"{row['fitted'] * scale:10.4g} +- {row['sigma'] * scale:<8.2g}"
+            lines.append(f"  {row['axis']}  {fitted} {name:14s}{said}   {meaning}")
+    return "\n".join(lines)
+
+
+def plot(channels: Sequence[Channel], path: Path) -> None:
+    """Write a picture of the curves, their confidence and the fits; the format follows the file's name.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
@@ -219,16 +321,19 @@ def plot(table: AllanTable, path: Path, *, title: str = "") -> None:
         from matplotlib.figure import Figure
     except ImportError:
         raise InputError("plot: matplotlib is not installed; pip install 'ahrs-sim[plot]'") from None
-    figure = Figure(figsize=(8, 5), layout="constrained")
-    axes = figure.add_subplot()
-    model = table.model(table.tau)
-    for i, name in enumerate(table.names):
-        (line,) = axes.loglog(table.tau, table.deviation[:, i], label=name)
-        axes.fill_between(table.tau, table.low[:, i], table.high[:, i], color=line.get_color(), alpha=0.2, lw=0)
-        axes.loglog(table.tau, model[:, i], "--", color=line.get_color(), lw=0.8)
-    axes.set(xlabel="tau (s)", ylabel=f"Allan deviation ({table.unit})", title=title)
-    axes.grid(True, which="both", alpha=0.3)
-    axes.legend(title="dashed: fit")
+    figure = Figure(figsize=(8.0, 4.0 * len(channels)), layout="constrained")
+    for number, c in enumerate(channels):
+        axes = figure.add_subplot(len(channels), 1, number + 1)
+        _, factor, unit = _SHOWN[c.sensor]
+        model = c.table.model(c.table.tau)
+        for i, name in enumerate(c.table.names):
+            (line,) = axes.loglog(c.table.tau, factor * c.table.deviation[:, i], label=name)
+            band = factor * c.table.low[:, i], factor * c.table.high[:, i]
+            axes.fill_between(c.table.tau, *band, color=line.get_color(), alpha=0.2, lw=0)
+            axes.loglog(c.table.tau, factor * model[:, i], "--", color=line.get_color(), lw=0.8)
+        axes.set(xlabel="tau (s)", ylabel=f"Allan deviation ({unit})", title=f"{c.topic} {c.sensor}")
+        axes.grid(True, which="both", alpha=0.3)
+        axes.legend(title="dashed: fit")
     try:
         figure.savefig(path)
     except (OSError, ValueError) as error:
@@ -282,7 +387,3 @@ def _root(square: np.ndarray, error: np.ndarray) -> Coefficient:
     value = np.sqrt(square)
     sigma = np.where(square > error, error / (2.0 * np.maximum(value, 1e-300)), np.sqrt(error))
     return Coefficient(value, sigma)
-
-
-FLOOR_PER_INSTABILITY = ALLAN_FLOOR
-"""Floor over bias instability B, 0.664: `table.floor.value / FLOOR_PER_INSTABILITY` is B."""

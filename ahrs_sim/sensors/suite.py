@@ -20,7 +20,7 @@ import numpy as np
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.flight.truth import Event, Truth
 from ahrs_sim.scenario import Component
-from ahrs_sim.sensors import grade as grades
+from ahrs_sim.sensors import grade as grade_files
 from ahrs_sim.sensors.air_data import AirData, AirFigures
 from ahrs_sim.sensors.faults import make_faults
 from ahrs_sim.sensors.fitting import Fitting
@@ -158,7 +158,7 @@ def make_suite(
     error = np.radians(table.vector("mounting_error_deg", [0.0, 0.0, 0.0]))
     wanted = table.value("instruments", None)
     rate = table.number("rate_hz", None, above=0.0)
-    grade = grades.load(name, SECTIONS, _with_rate(table.rest(), rate), component.where)
+    grade = grade_files.load(name, SECTIONS, _with_rate(table.rest(), rate), component.where)
     has = _choose(grade, wanted, table)
     fitting = Fitting(
         suite=component.name,
@@ -174,6 +174,18 @@ def make_suite(
         where=component.where,
     )
     return Suite(fitting, has)
+
+
+def grades() -> list[dict[str, str]]:
+    """Every figure of every grade, for `ahrs-sim list grades`; the first row of a grade is its title."""
+    rows = []
+    for name in grade_files.names():
+        grade = grade_files.load(name, SECTIONS)
+        rows.append({"grade": name, "figure": grade.title, "mark": "", "source": ""})
+        for section, entry in grade.rows():
+            figure = f"{section}.{entry.key} = {entry.text}"
+            rows.append({"grade": name, "figure": f"{figure:60s}", "mark": f"{entry.mark:9s}", "source": entry.source})
+    return rows
 
 
 def _with_rate(overrides: dict[str, Any], rate: float | None) -> dict[str, Any]:
