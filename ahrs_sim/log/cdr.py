@@ -14,6 +14,7 @@ Plain CDR as every ROS 2 middleware writes it: 4 bytes of header, then each valu
 counted from behind the header; strings as length with NUL, NUL-terminated; sequences as length, then elements.
 """
 
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -222,9 +223,9 @@ class Place:
             self._view(rows, start, "<i4", ())[...] = values // 1_000_000_000
             self._view(rows, start + 4, "<u4", ())[...] = values % 1_000_000_000
             return
-        if values.shape[:1] == (n,) and values.size == n * int(np.prod(self.shape)):
+        if values.shape[:1] == (n,) and values.size == n * math.prod(self.shape):
             values = values.reshape(n, *self.shape)
-        elif values.size == int(np.prod(self.shape)):
+        elif values.size == math.prod(self.shape):
             values = values.reshape(self.shape)
         elif values.size != 1:
             raise ValueError(f"shape {values.shape} does not fit {n} messages of shape {self.shape}")
@@ -250,7 +251,7 @@ class _Encoder:
         item = np.dtype(dtype)
         self.out += bytes(-len(self.out) % item.itemsize)
         place = Place(len(HEADER) + len(self.out), "<" + dtype, shape, kind)
-        self.out += bytes(item.itemsize * int(np.prod(shape)))
+        self.out += bytes(item.itemsize * math.prod(shape))
         self.places[path] = place
         return place
 

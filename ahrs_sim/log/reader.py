@@ -54,8 +54,8 @@ MAX_CHUNK = 256 << 20
 _FOOTER = RECORD_HEAD.size + 20
 _CHUNK_HEAD = struct.Struct("<QQQI")  # start, end, uncompressed size, checksum
 _PIECE = 8 << 20  # of an unchunked file, at a time
-_BATCH = 2 << 20  # messages decoded together
-_PORTION = 2 << 20  # messages given out together
+_BATCH = 2 << 20  # bytes of messages decoded together
+_PORTION = 4 << 20  # bytes of messages given out together
 _SMALL = 64  # bytes: no record of interest is shorter than a message's head
 
 
@@ -119,14 +119,10 @@ class LogReader:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._lock = threading.Lock()
-        self._definitions: dict[int, Definitions] = {}
+        self._definitions: dict[int, Definitions] = {}  # by channel, of those that have been asked for
+        self._dtypes: dict[int, np.dtype[Any]] = {}
+        self._stream = open_file(self.path)
         try:
-            self._stream = self.path.open("rb")
-        except OSError as error:
-            raise InputError(f"{self.path}: cannot be read: {error.strerror or error}") from None
-        try:
-            if not self.path.is_file():
-                raise InputError(f"{self.path}: is not a file")
             self._size = self._stream.seek(0, os.SEEK_END)
             self._contents = self._guard(self._open)
         except BaseException:
@@ -348,9 +344,12 @@ class LogReader:
             kinds.add((schema.name, schema.data))
             if number not in self._definitions:
                 try:
-                    self._definitions[number] = parse_definitions(schema.name, schema.data.decode(errors="replace"))
-                    message_dtype(self._definitions[number], schema.name)
-                except CdrError as error:
+                    definitions = parse_definitions(schema.name, schema.data.decode(errors="replace"))
+                    inner = message_dtype(definitions, schema.name)
+                    columns = [("log_time", "<i8"), *((name, inner[name]) for name in inner.names or ())]
+                    self._dtypes[number] = np.dtype(columns)
+                    self._definitions[number] = definitions
+                except (CdrError, ValueError) as error:
                     raise InputError(f"{self.path}: topic {topic}: {error}") from None
         if len(kinds) > 1:
             raise InputError(
@@ -359,9 +358,7 @@ class LogReader:
         return numbers
 
     def _dtype(self, numbers: list[int]) -> np.dtype[Any]:
-        name = self._type_name(numbers[0])
-        inner = message_dtype(self._definitions[numbers[0]], name)
-        return np.dtype([("log_time", "<i8"), *((n, inner[n]) for n in inner.names or ())])
+        return self._dtypes[numbers[0]]
 
     def _type_name(self, number: int) -> str:
         return self._contents.schemas[self._contents.channels[number].schema_id].name
@@ -613,6 +610,20 @@ class LogReader:
 
 
 # ----------------------------------------------------------------------------------------------- pieces of files
+
+
+def open_file(path: Path) -> IO[bytes]:
+    """Open a file for reading.
+
+    Raises:
+        InputError: it is not there, is no plain file (a pipe would be waited for), or may not be read.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: cannot be read: it is not a file")
+        return path.open("rb")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
 def read_at(stream: IO[bytes], size: int, offset: int, length: int) -> bytes:

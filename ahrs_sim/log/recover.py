@@ -24,6 +24,7 @@ from ahrs_sim.log.reader import (
     Damaged,
     find_messages,
     message_heads,
+    open_file,
     parse,
     read_at,
     register,
@@ -67,11 +68,7 @@ def recover(part: str | Path, output: str | Path, *, force: bool = False) -> Rec
     if output.exists() and output.samefile(part):
         raise InputError(f"{output}: is the file to recover from; choose another name")
     unfinished = output.with_name(output.name + ".recovering")
-    try:
-        source = part.open("rb")
-    except OSError as error:
-        raise InputError(f"{part}: cannot be read: {error.strerror or error}") from None
-    with source:
+    with open_file(part) as source:
         walk = _Walk(part, source)
         try:
             output.parent.mkdir(parents=True, exist_ok=True)

@@ -299,7 +299,7 @@ class LogWriter:
         for _, rows, _ in taken:
             n, size = rows.shape
             # Each row of this view is the room for a record at that byte: the rows overlap, the chosen ones do not.
-            room = np.lib.stride_tricks.as_strided(data, (data.size - size + 1, size), (1, 1))
+            room = np.ndarray((data.size - size + 1, size), np.uint8, data, 0, (1, 1))
             room[offsets[at : at + n]] = rows
             at += n
 
