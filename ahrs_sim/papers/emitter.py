@@ -1,8 +1,8 @@
 """Paper 003, emitter location with one interferometer baseline: tables, figures, the bound, and the AHRS's share.
 
 The paper's experiment (section 4.1.1): 270 m/s along x from the origin, emitter at (60, 80) km, 6 GHz, 10 m, a look
-every 0.5 s. `locate_all` runs the locator over Monte Carlo looks, `bound` gives the Cramer-Rao bound of the same looks, and
-`heading_cost` what a given heading error adds: at k = 1257 rad a heading error of 0.1 deg is two radians of phase.
+every 0.5 s. `locate_all` runs the locator over Monte Carlo looks, `bound` gives the Cramer-Rao bound of the same looks,
+and `heading_cost` what a heading error costs: at k = 1257 rad a tenth of a degree is two radians of phase.
 """
 
 import math
@@ -286,7 +286,7 @@ _WHOLE_CYCLES = (
 )
 _AT_BOUND = (
     "The bound of the same looks passes 5 %R at the times in the row of bounds, later than the paper claims to have "
-    "arrived at 30 and 40 deg; it allows the paper's figures only without own-ship errors. An EKF needs a fifth more."
+    "arrived from 20 deg on: its figures are possible only without own-ship errors. An EKF needs a quarter more."
 )
 _NO_FAILURE = (
     "Nothing in the geometry makes it fail: the bound passes 5 %R here too. The own velocity error of 2 m/s alone is "
@@ -298,8 +298,8 @@ _LOCKED = (
     "not stay, and with the rate alone neither."
 )
 _HEADING = (
-    "At k = 1257 rad an error of the heading enters the phase a thousandfold (k sin 53 deg): from 0.09 deg on the phase "
-    "is of no use, and an error of the yaw rate counts against the bearing's own rate of 0.12 deg/s."
+    "At k = 1257 rad an error of the heading enters the phase a thousandfold (k sin 53 deg): from 0.09 deg on the "
+    "phase is of no use, and an error of the yaw rate counts against the bearing's own rate of 0.12 deg/s."
 )
 
 
@@ -309,12 +309,12 @@ def reproduce(quick: bool = False) -> Reproduction:
     return Reproduction(
         name="emitter",
         title="Gaussian-sum EKF, emitter location with one interferometer baseline",
-        source="Paper 003: single baseline interferometer location from multiple bearing hypotheses (in Chinese), 2021.",
+        source="Paper 003: locating with a single-baseline interferometer and multiple bearing hypotheses (in Chinese)",
         conditions=(
             "270 m/s due east, emitter at (60, 80) km, 6 GHz, baseline 10 m, a look every 0.5 s. Errors, independent "
-            "from look to look: phase 10 deg, phase rate 1 deg/s, own position 10 m, own velocity 2 m/s; coarse bearing "
-            "5 deg, q = 9, true heading. Time: until the RMS error of all runs is below 5 % of the range (%R) for good. "
-            "A time within a quarter of the paper's counts as the same."
+            "from look to look: phase 10 deg, phase rate 1 deg/s, own position 10 m, own velocity 2 m/s; coarse "
+            "bearing 5 deg, q = 9, true heading. Time: until the RMS error of all runs is below 5 % of the range (%R) "
+            "for good. A time within a quarter of the paper's counts as the same."
         ),
         claims=[*_tables(runs), *_figures(runs), *_headings(max(10, runs // 4))],
     )
