@@ -15,7 +15,7 @@ from ahrs_sim.data import aircraft_dir
 from ahrs_sim.errors import InputError, nearest
 
 
-class _LastWords(jsbsim.FGLogger):  # type: ignore[misc]
+class _LastWords(jsbsim.FGLogger):
     """A silent logger that keeps the last error: JSBSim's reason when a model does not load."""
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class Fdm:
     def __init__(self, dt: float) -> None:
         self.log = _LastWords()
         jsbsim.set_logger(self.log)
-        jsbsim.FGJSBBase().debug_lvl = 0
+        jsbsim.FGJSBBase().debug_lvl = 0  # type: ignore[no-untyped-call]
         self.exec = jsbsim.FGFDMExec(None)
         self.exec.set_root_dir(str(library_dir()))
         self.exec.set_dt(dt)
@@ -90,7 +90,7 @@ class Fdm:
         return float(end) if end else None
 
     def has(self, name: str) -> bool:
-        """Does the property exist?"""
+        """Whether the property exists."""
         return self._properties.get_node(name) is not None
 
     def getter(self, name: str, where: str = "JSBSim") -> Callable[[], float]:
@@ -102,9 +102,9 @@ class Fdm:
         node = self._properties.get_node(name)
         if node is None:
             raise self._unknown(name, where)
-        return node.get_double_value  # type: ignore[no-any-return]
+        return node.get_double_value
 
-    def setter(self, name: str, where: str = "JSBSim") -> Callable[[float], None]:
+    def setter(self, name: str, where: str = "JSBSim") -> Callable[[float], object]:
         """A bound writer of a property.
 
         Raises:
@@ -115,7 +115,7 @@ class Fdm:
             raise self._unknown(name, where)
         if self._catalogue().get(name) == "R":
             raise InputError(f"{where}: property '{name}' is read only; set one of the inputs it depends on")
-        return node.set_double_value  # type: ignore[no-any-return]
+        return node.set_double_value
 
     def __getitem__(self, name: str) -> float:
         return self.getter(name)()

@@ -12,6 +12,7 @@ After `run()` state, forces and accelerations belong to the same instant.
 
 import math
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
@@ -75,7 +76,7 @@ _COLUMNS: tuple[tuple[str, float], ...] = (
     ("fcs/throttle-pos-norm", 1.0),
 )
 _SCALE = np.array([factor for _, factor in _COLUMNS])
-_OPTIONAL = ("propulsion/engine/propeller-rpm", "fcs/throttle-pos-norm")  # gliders, jets
+_OPTIONAL = ("propulsion/engine/propeller-rpm", "fcs/throttle-pos-norm")  # gliders and jets have none: 0
 VEL_DOWN, HEIGHT_AGL, WOW = 5, 30, 31  # columns that are read before conversion
 
 
@@ -89,6 +90,8 @@ class JsbsimFlight:
     def __init__(self, scenario: Scenario) -> None:
         self.error: str | None = None
         self.dt = 1.0 / scenario.rate
+        if scenario.pilot_attitude != "truth" and scenario.script is not None:
+            raise InputError(f"{scenario.where}: [pilot]: attitude: a script flies without our autopilot; leave it out")
         steps = parse_steps(scenario.steps)  # before JSBSim starts: bad input is the cheapest error
         _check_gusts(scenario)
         self._events: list[Event] = []
@@ -126,6 +129,9 @@ class JsbsimFlight:
         self._get = [_reader(fdm, name) for name, _ in _COLUMNS]
         self._contacts = _contacts(fdm)
         self._pilot = Pilot(fdm, steps, scenario.start.altitude, scenario.start.heading, self.dt * self._every)
+        if scenario.pilot_attitude != "truth" and self._pilot.autopilot is None:
+            model = fdm.exec.get_model_name()
+            raise InputError(f"{scenario.where}: [pilot]: attitude: '{model}' has not our autopilot; leave it out")
         self._settle(scenario)
         self._run = fdm.exec.run
         self._next = 0  # number of the next row
@@ -157,16 +163,14 @@ class JsbsimFlight:
             first = k
             row = self._last
             try:
-                for k in range(k, stop):
+                while k < stop:
                     if not run():
-                        stop = k
                         self._finish(None)
                         break
                     raw[k] = row = [g() for g in get]
+                    k += 1
             except RuntimeError as error:  # JSBSim gives up, e.g. on a position that is not a number
-                stop = k
-                self._finish(f"JSBSim stopped: {' '.join(str(error).split())}")
-            k = stop
+                self._finish(f"JSBSim stopped{self._pilot.during()}: {' '.join(str(error).split())}")
             self._last = row
             self._next += k - first
         return self._truth(raw[:k])
@@ -207,9 +211,7 @@ class JsbsimFlight:
         if start.on_ground:
             fdm["ic/h-agl-ft"] = 10.0
             fdm.exec.run_ic()  # now the centre of gravity is known
-            wheels = [
-                fdm[f"{unit}/z-position"] for unit in _units(fdm, "gear/unit") or _units(fdm, "contact/unit")
-            ]
+            wheels = [fdm[f"{unit}/z-position"] for unit in _units(fdm, "gear/unit") or _units(fdm, "contact/unit")]
             above = fdm["inertia/cg-z-in"] - min(wheels, default=0.0)
             fdm["ic/h-agl-ft"] = above * INCH / FT
             fdm["ic/vt-fps"] = 0.0
@@ -260,6 +262,9 @@ class JsbsimFlight:
         if self._next >= self._rows:
             self._finish(None)
             return False
+        if not math.isfinite(row[HEIGHT_AGL]):
+            self.done = True  # `_truth` finds the first bad row and says so
+            return False
         self._choose_integrators(row[HEIGHT_AGL] < self._low)
         if not self._scripted and (reason := self._crash(row)):
             self._events.append(Event(t, "error", "flight", f"crash: {reason}"))
@@ -286,8 +291,6 @@ class JsbsimFlight:
                 put(EULER if near_ground else ADAMS_BASHFORTH_2)
 
     def _crash(self, row: list[float]) -> str | None:
-        if not math.isfinite(row[HEIGHT_AGL]):
-            return "the state is not a number any more"
         if row[HEIGHT_AGL] < 0.0:
             return "the aircraft is below the ground"
         if row[WOW] > 0.0 and row[VEL_DOWN] * FT > HARD:
@@ -317,7 +320,7 @@ class JsbsimFlight:
 
     def _truth(self, raw: np.ndarray) -> Truth:
         """Truth from raw rows, cut at the first that is not finite."""
-        finite = np.isfinite(raw[:, :-2]).all(axis=1)
+        finite = np.isfinite(raw).all(axis=1)
         if not finite.all():
             raw = raw[: int(np.argmin(finite))]
             first = self._next - len(finite) + len(raw)
@@ -356,7 +359,7 @@ class JsbsimFlight:
 
 def _reader(fdm: Fdm, name: str) -> Callable[[], float]:
     if name in _OPTIONAL and not fdm.has(name):
-        return lambda: math.nan
+        return lambda: 0.0
     return fdm.getter(name)
 
 
@@ -367,15 +370,18 @@ def _units(fdm: Fdm, prefix: str) -> list[str]:
 
 
 def _contacts(fdm: Fdm) -> list[Callable[[], float]]:
-    return [fdm.getter(f"{unit}/WOW") for unit in _units(fdm, "contact/unit")]
+    """Readers that are above 0 when something other than a wheel is on the ground (ours latches it)."""
+    names = [f"{unit}/WOW" for unit in _units(fdm, "contact/unit")]
+    return [fdm.getter(name) for name in (*names, *(["ap/crashed"] if fdm.has("ap/crashed") else []))]
 
 
 def _check_gusts(scenario: Scenario) -> None:
     """JSBSim has one gust at a time."""
     gusts = scenario.wind.gusts
-    for i, (gust, following) in enumerate(zip(gusts, gusts[1:], strict=False)):
-        if following.at < gust.at + 3.0 * gust.rise:
+    for i, (gust, following) in enumerate(pairwise(gusts)):
+        end = gust.at + 3.0 * gust.rise
+        if following.at < end:
             raise InputError(
-                f"{scenario.where}: [wind]: [[gust]] {i + 2}: at_s: {following.at:g} is before the previous gust ends at "
-                f"{gust.at + 3.0 * gust.rise:g} s; move it"
+                f"{scenario.where}: [wind]: [[gust]] {i + 2}: at_s: {following.at:g} is before the gust before it ends "
+                f"({end:g} s); move it"
             )

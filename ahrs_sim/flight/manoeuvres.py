@@ -8,6 +8,8 @@ angles to the right and upwards are positive.
 Every manoeuvre takes `timeout_s`, after which it has failed; those that fly also `airspeed_mps`, a new speed to hold.
 """
 
+# ruff: noqa: D102  (`Manoeuvre` documents the methods which every class below defines)
+
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
@@ -46,6 +48,11 @@ def bank_for(state: "State", course: float, turn_rate: float = 0.0, limit: float
     return clamp(math.atan(state.ground_speed * rate / G), limit)
 
 
+def optional(table: Table, key: str, **limits: float) -> float | None:
+    """A number that may be left out."""
+    return table.number(key, None, **limits)
+
+
 class Manoeuvre:
     """Base of all: `begin`, then `step` until it returns True, within `timeout` seconds."""
 
@@ -60,7 +67,7 @@ class Manoeuvre:
             InputError: a key is missing, unknown or out of range.
         """
         self.where = table.where
-        self.new_airspeed = table.number("airspeed_mps", None, above=0.0, maximum=60.0) if self.in_flight else None
+        self.new_airspeed = optional(table, "airspeed_mps", above=0.0, maximum=60.0) if self.in_flight else None
         self.read(table)
         self.timeout = table.number("timeout_s", 3.0 * self.expected() + 30.0, above=0.0)
         table.close()
@@ -148,7 +155,7 @@ class Takeoff(Manoeuvre):
 
     def read(self, table: Table) -> None:
         self.height = table.number("to_height_m", 30.0, minimum=10.0)
-        self.new_airspeed = table.number("airspeed_mps", None, above=0.0, maximum=60.0)
+        self.new_airspeed = optional(table, "airspeed_mps", above=0.0, maximum=60.0)
 
     def expected(self) -> float:
         return 10.0 + self.height / 4.0
@@ -219,7 +226,7 @@ class Straight(Manoeuvre):
 
     def read(self, table: Table) -> None:
         self.duration = table.number("for_s", 10.0, above=0.0)
-        heading = table.number("heading_deg", None, minimum=-360.0, maximum=360.0)
+        heading = optional(table, "heading_deg", minimum=-360.0, maximum=360.0)
         self.heading = None if heading is None else math.radians(heading)
 
     def expected(self) -> float:
@@ -250,10 +257,10 @@ class Turn(Manoeuvre):
     name = "turn"
 
     def read(self, table: Table) -> None:
-        bank = table.number("bank_deg", None, minimum=-75.0, maximum=75.0)
-        rate = table.number("rate_dps", None, minimum=-60.0, maximum=60.0)
-        through = table.number("through_deg", None, minimum=-36000.0, maximum=36000.0)
-        duration = table.number("for_s", None, above=0.0)
+        bank = optional(table, "bank_deg", minimum=-75.0, maximum=75.0)
+        rate = optional(table, "rate_dps", minimum=-60.0, maximum=60.0)
+        through = optional(table, "through_deg", minimum=-36000.0, maximum=36000.0)
+        duration = optional(table, "for_s", above=0.0)
         if bank is not None and rate is not None:
             raise table.error("rate_dps", "bank_deg and rate_dps exclude each other; keep one of them")
         if through is not None and duration is not None:
@@ -262,12 +269,13 @@ class Turn(Manoeuvre):
             raise table.error("do", "a turn through nothing or with wings level is no turn; give it a value")
         if through is None and duration is None:
             through = 360.0 if (bank or rate or 1.0) > 0.0 else -360.0
-        if through is not None and (bank or rate or through) * through < 0.0 and (bank or rate or 0.0) < 0.0:
-            raise table.error("bank_deg" if bank is not None else "rate_dps", "turns left, through_deg right; fix a sign")
+        if through is not None and through > 0.0 and (bank or rate or 1.0) < 0.0:
+            key = "rate_dps" if bank is None else "bank_deg"
+            raise table.error(key, "turns left, but through_deg turns right; fix a sign")
         self.sign = math.copysign(1.0, through if through is not None else bank or rate or 1.0)
         self.bank = abs(math.radians(30.0 if bank is None else bank))
-        self.rate = None if rate is None else abs(math.radians(rate))
-        self.through = None if through is None else abs(math.radians(through))
+        self.rate: float | None = None if rate is None else abs(math.radians(rate))
+        self.through: float | None = None if through is None else abs(math.radians(through))
         self.duration = duration
 
     def expected(self) -> float:
@@ -359,15 +367,15 @@ class Orbit(Manoeuvre):
 
     def read(self, table: Table) -> None:
         self.radius = table.number("radius_m", 80.0, minimum=20.0)
-        turns = table.number("turns", None, minimum=-1000.0, maximum=1000.0)
-        through = table.number("through_deg", None, minimum=-360000.0, maximum=360000.0)
+        turns = optional(table, "turns", minimum=-1000.0, maximum=1000.0)
+        through = optional(table, "through_deg", minimum=-360000.0, maximum=360000.0)
         if turns is not None and through is not None:
             raise table.error("turns", "turns and through_deg exclude each other; keep one of them")
         sweep = math.radians(through) if through is not None else 2.0 * math.pi * (1.0 if turns is None else turns)
         if sweep == 0.0:
-            raise table.error("turns" if through is None else "through_deg", "an orbit through nothing; give it a value")
+            raise table.error("through_deg" if through is not None else "turns", "no orbit at all; give it a value")
         self.sign, self.through = math.copysign(1.0, sweep), abs(sweep)
-        north, east = table.number("north_m", None), table.number("east_m", None)
+        north, east = optional(table, "north_m"), optional(table, "east_m")
         if (north is None) != (east is None):
             raise table.error("north_m", "north_m and east_m belong together; give both or none")
         self.centre = None if north is None or east is None else (north, east)
@@ -534,7 +542,7 @@ class Loop(Manoeuvre):
             if state.airspeed < self.entry:
                 return False
             self.from_pitched = state.pitched - state.pitch
-        # near the vertical roll and heading have no meaning: steer by the rate, levelling the wing by what is left of it
+        # near the vertical roll and heading have no meaning: steer by the rate, levelling what is left of a bank
         tilt = math.sin(state.roll) * math.cos(state.pitch)
         ap.roll_rate(clamp(-2.0 * tilt * math.copysign(1.0, math.cos(state.roll)), 1.0))
         ap.pitch_rate(self.rate)
@@ -550,7 +558,7 @@ class Loop(Manoeuvre):
 
 
 class Roll(Manoeuvre):
-    """Aileron roll at `rate_dps` (120) through `through_deg` (360; negative: left), entered nose up by `pitch_deg` (20)."""
+    """Aileron roll at `rate_dps` (120) through `through_deg` (360; negative: left), from `pitch_deg` (20) nose up."""
 
     name = "roll"
 
@@ -578,7 +586,8 @@ class Roll(Manoeuvre):
                 return False
             self.from_rolled = state.rolled - state.roll
         ap.roll_rate(self.sign * self.rate)
-        ap.pitch_rate(0.0)
+        # keep the nose up: pull when upright, push when inverted
+        ap.pitch_rate(clamp(2.0 * (self.pitch - state.pitch), 0.6) * math.cos(state.roll))
         if self.sign * (state.rolled - self.from_rolled) < self.through - 0.2 * self.rate:
             return False
         ap.cruise()
@@ -670,7 +679,7 @@ class Land(Manoeuvre):
 
     def read(self, table: Table) -> None:
         self.glide = math.radians(table.number("glide_deg", 4.0, above=0.0, maximum=15.0))
-        self.flare = table.number("flare_height_m", None, above=0.0, maximum=20.0)
+        self.flare = optional(table, "flare_height_m", above=0.0, maximum=20.0)
         self.speed = 16.0 if self.new_airspeed is None else self.new_airspeed
 
     def expected(self) -> float:

@@ -11,7 +11,8 @@ from the velocity.
     kind = "road"         # a car: laps of a running track, or a country road
 """
 
-import dataclasses
+# ruff: noqa: D102  (`Motion` documents the methods which every class below defines)
+
 import math
 from dataclasses import dataclass
 
@@ -48,6 +49,9 @@ class Jet:
     def __mul__(self, other: "Jet | float") -> "Jet":
         b = jet(other)
         return Jet(self.x * b.x, self.d * b.x + self.x * b.d, self.dd * b.x + 2.0 * self.d * b.d + self.x * b.dd)
+
+    def __rsub__(self, other: float) -> "Jet":
+        return -self + other
 
     __radd__ = __add__
     __rmul__ = __mul__
@@ -207,9 +211,9 @@ class Road(Motion):
     """A car: it points where it drives, leans out of bends, squats and dives, and shakes on a rough surface.
 
     `road = "track"` (laps of a 400 m running track, level) or `"country"` (bends and hills); `speed_mps` (track 8,
-    country 15) swings by `swing_mps` (track 3, country 4) every `swing_s` (20), braking harder than it accelerates. `lean`
-    is roll per lateral acceleration in deg/(m/s2) (0.5), `squat` pitch per longitudinal (0.4), `rough_deg` the rms of the
-    shaking (track 0.05, country 0.3). `still_s` (20) of standing come first.
+    country 15) swings by `swing_mps` (track 3, country 4) every `swing_s` (20), braking harder than it accelerates.
+    `lean` is roll per lateral acceleration in deg/(m/s2) (0.5), `squat` pitch per longitudinal (0.4), `rough_deg` the
+    rms of the shaking (track 0.05, country 0.3). `still_s` (20) of standing come first.
     """
 
     _RADIUS, _STRAIGHT = 36.5, 84.39  # m, of a standard running track
@@ -243,7 +247,7 @@ class Road(Motion):
         t = t - self.still
         # the swing's second harmonic makes braking twice as hard as speeding up
         w, swing = self.frequency, self.swing
-        swung = (cos(t * w) * -1.0 + 1.0) * (swing / w) + (cos(t * (2.0 * w)) * -1.0 + 1.0) * (-0.25 * swing / (2.0 * w))
+        swung = (1.0 - cos(t * w)) * (swing / w) - (1.0 - cos(t * (2.0 * w))) * (0.125 * swing / w)
         drive_off = self.speed / 0.8  # s; the peak is near 3 m/s2
         return smooth_ramp(t, drive_off) * self.speed + swung * smooth_step(t, drive_off)
 
@@ -253,7 +257,7 @@ class Road(Motion):
             heading = jet(self.heading)
             for (curvature, length), phase in zip(self.bends, self.bend_phase, strict=True):
                 k = TAU / length
-                heading = heading + (cos(s * k + phase) * -1.0 + math.cos(phase)) * (curvature / k)
+                heading = heading + (math.cos(phase) - cos(s * k + phase)) * (curvature / k)
             return heading
         # every bend turns by half a circle; the curvature comes and goes over `ease` m
         bend, ease = math.pi * self._RADIUS, 20.0
@@ -438,7 +442,7 @@ class MotionFlight:
 
 
 def standard_atmosphere(height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pressure (Pa) and temperature (K) of the US Standard Atmosphere 1976 up to 11 km, geopotential = geometric height."""
+    """Pressure (Pa) and temperature (K) of the US Standard Atmosphere 1976 up to 11 km (geometric heights)."""
     temperature = 288.15 - 0.0065 * height
     return 101325.0 * (temperature / 288.15) ** 5.255876, temperature
 

@@ -60,7 +60,7 @@ class Autopilot:
 
     def __init__(self, fdm: Fdm) -> None:
         self._fdm = fdm
-        self._set: dict[str, Callable[[float], None]] = {}
+        self._set: dict[str, Callable[[float], object]] = {}
         self.altitude_goal = 0.0
         self.heading_goal = 0.0
         self.airspeed_goal = 20.0
@@ -173,9 +173,7 @@ class Pilot:
         InputError: a step needs our autopilot, which this aircraft has not, or names an unknown property.
     """
 
-    def __init__(
-        self, fdm: Fdm, steps: Sequence[Manoeuvre], altitude: float, heading: float, dt: float
-    ) -> None:
+    def __init__(self, fdm: Fdm, steps: Sequence[Manoeuvre], altitude: float, heading: float, dt: float) -> None:
         self._steps = list(steps)
         self._dt = dt
         self._ground = altitude
@@ -292,7 +290,7 @@ class Pilot:
                 self._begin(self._number + 1, t)
                 step = self._steps[self._number]
             if t - self._began > step.timeout:
-                raise Failure(f"not finished after {step.timeout:g} s: {step.progress(state)}")
+                raise Failure(f"not finished after {step.timeout:.0f} s: {step.progress(state)}")
         except Failure as failure:
             self.error = f"{self._label()}: {failure}"
             self._events.append(Event(t, "error", "pilot", self.error))

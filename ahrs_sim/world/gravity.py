@@ -15,8 +15,8 @@ _M = wgs84.EARTH_RATE**2 * wgs84.A**2 * wgs84.B / wgs84.GM
 def normal_gravity(lla: np.ndarray) -> np.ndarray:
     """Magnitude of normal gravity (...,) m/s2 at `lla` (..., 3).
 
-    Somigliana's closed formula on the ellipsoid and its second-order expansion in height (NIMA TR8350.2, eq. 4-1 and 4-3):
-    1e-6 m/s2 up to 10 km.
+    Somigliana's closed formula on the ellipsoid and its second-order expansion in height (NIMA TR8350.2, eq. 4-1 and
+    4-3): 1e-6 m/s2 up to 10 km.
     """
     sin2 = np.sin(lla[..., 0]) ** 2
     h = lla[..., 2] / wgs84.A
@@ -35,7 +35,7 @@ def gravity_n(lla: np.ndarray) -> np.ndarray:
 
 
 def j2_gravity_n(lla: np.ndarray) -> np.ndarray:
-    """Gravity (..., 3) m/s2 in NED of the J2 field and the Earth's rotation, the field of JSBSim's equations of motion."""
+    """Gravity (..., 3) m/s2 in NED of the J2 field and the Earth's rotation: the field JSBSim flies in."""
     position = wgs84.ecef(lla)
     r2 = np.sum(position**2, axis=-1)
     z2 = position[..., 2] ** 2 / r2
@@ -44,4 +44,5 @@ def j2_gravity_n(lla: np.ndarray) -> np.ndarray:
     field = -wgs84.GM * position * factor / (r2 * np.sqrt(r2))[..., None]
     field[..., :2] += wgs84.EARTH_RATE**2 * position[..., :2]
     axes = wgs84.ned_axes(lla[..., 0], lla[..., 1])
-    return np.einsum("...ij,...j->...i", axes, field)
+    in_ned: np.ndarray = np.einsum("...ij,...j->...i", axes, field)
+    return in_ned

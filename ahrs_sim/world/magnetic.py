@@ -30,24 +30,26 @@ class MagneticField:
         self.year = decimal_year(epoch)
         if not FIRST <= self.year <= LAST:
             raise InputError(f"epoch: {epoch:%Y-%m-%d} is outside WMM2025; choose a date from 2025 to 2029")
-        self._cells: dict[tuple[int, int, int], np.ndarray] = {}
+        self._cells: dict[tuple[int, ...], np.ndarray] = {}  # field at the corners
 
     def at(self, lla: np.ndarray) -> np.ndarray:
         """Field (n, 3) T in NED at `lla` (n, 3) (rad, rad, m above the ellipsoid)."""
-        scaled = lla / _CELL
-        cells = np.floor(scaled)
+        scaled: np.ndarray = lla / _CELL
+        cells: np.ndarray = np.floor(scaled)
+        if len(cells) == 0:
+            return np.empty((0, 3))
         first = cells[0]
         if (cells == first).all():  # the rule: a block of a few seconds stays in one cell
-            return self._interpolate(scaled - first, self._corners(*(int(c) for c in first)))
+            return self._interpolate(scaled - first, self._corners(first))
         field = np.empty_like(scaled)
         for cell in np.unique(cells, axis=0):
             rows = (cells == cell).all(axis=1)
-            field[rows] = self._interpolate(scaled[rows] - cell, self._corners(*(int(c) for c in cell)))
+            field[rows] = self._interpolate(scaled[rows] - cell, self._corners(cell))
         return field
 
-    def _corners(self, i: int, j: int, k: int) -> np.ndarray:
-        """Field (8, 3) T at the corners of a cell."""
-        key = (i, j, k)
+    def _corners(self, cell: np.ndarray) -> np.ndarray:
+        """Field (8, 3) T at the corners of a cell, (3,) whole numbers."""
+        key = tuple(cell.astype(int).tolist())
         if key not in self._cells:
             lla = (np.array(key) + _CORNERS) * _CELL
             lla[:, 0] = np.clip(lla[:, 0], -0.5 * math.pi, 0.5 * math.pi)

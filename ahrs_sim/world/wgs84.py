@@ -64,7 +64,8 @@ def ned_axes(latitude: np.ndarray, longitude: np.ndarray) -> np.ndarray:
 def offset_n(lla: np.ndarray, origin: np.ndarray) -> np.ndarray:
     """Where `lla` (n, 3) lies in the NED frame at `origin` (3,): (n, 3) m, straight line, exact."""
     axes = ned_axes(np.asarray(origin[0]), np.asarray(origin[1]))
-    return (ecef(lla) - ecef(np.asarray(origin))) @ axes.T
+    offset: np.ndarray = (ecef(lla) - ecef(np.asarray(origin))) @ axes.T
+    return offset
 
 
 def earth_rate_n(latitude: np.ndarray) -> np.ndarray:
