@@ -56,7 +56,6 @@ _CHUNK_HEAD = struct.Struct("<QQQI")  # start, end, uncompressed size, checksum
 _PIECE = 8 << 20  # of an unchunked file, at a time
 _BATCH = 2 << 20  # bytes of messages decoded together
 _PORTION = 4 << 20  # bytes of messages given out together
-_SMALL = 64  # bytes: no record of interest is shorter than a message's head
 
 
 class Damaged(Exception):
@@ -671,7 +670,7 @@ def uncompress(chunk: memoryview) -> bytes:
     del start, end
     at = _CHUNK_HEAD.size
     (name_length,) = struct.unpack_from("<I", chunk, at)
-    if name_length > _SMALL:
+    if name_length > len(chunk) - at - 12:
         raise Damaged("a chunk's compression has no name")
     compression = bytes(chunk[at + 4 : at + 4 + name_length]).decode()
     at += 4 + name_length
