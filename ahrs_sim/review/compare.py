@@ -17,15 +17,23 @@ from ahrs_sim.log.record import FlightReader
 from ahrs_sim.review import metrics
 
 TRUTH_TOPIC = "/truth/odometry"
+STATE_TOPIC = "/truth/state"
 AIR_TOPIC = "/truth/air"
 
 TURN_RATE = math.radians(3.0)
 """rad/s of heading (mean over 2 s) from which on a flight is turning: the standard rate, 360 deg in two minutes."""
 
-SETTLING = 20.0
-"""s after a turn that count neither as turning nor as straight: what an estimator learnt wrong in it dies away."""
+ACCELERATION = 1.0
+"""m/s2 along the path (mean over 2 s) from which on flight is not steady: take-off, flare, roll-out."""
 
-PHASES = ("ground", "straight", "turning", "settling")
+SETTLING = 20.0
+"""s after a turn or an acceleration that do not count as straight: what an estimator learnt wrong in it dies away."""
+
+STANDING = 0.5
+"""m/s below which an aircraft on its wheels stands."""
+
+PHASES = ("ground", "straight", "turning", "transient")
+"""Standing on the ground; steady straight flight; turning in the air; everything else, settling included."""
 
 
 def compare(
@@ -51,8 +59,6 @@ def compare(
         raise InputError(f"{path}: no estimates in it (no topic /est/NAME/state); replay it with an estimator first")
     if reference is not None and reference not in names:
         raise InputError(f"{path}: --reference {reference}: no such estimator in this log{nearest(reference, names)}")
-    if TRUTH_TOPIC not in log.topics:
-        raise InputError(f"{path}: no {TRUTH_TOPIC} in it: there is nothing to compare with")
     truth = _truth(log)
     against = _attitude(log, f"/est/{reference}/state") if reference else (truth.t, truth.q_nb)
     low, high = (-math.inf if start is None else start), (math.inf if end is None else end)
@@ -90,29 +96,37 @@ def _row(t: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 def _truth(log: FlightReader) -> _Truth:
     """Attitude and phase of the flight."""
-    topics = [TRUTH_TOPIC, AIR_TOPIC] if AIR_TOPIC in log.topics else [TRUTH_TOPIC]
-    blocks = list(log.blocks(topics))
+    needed = [TRUTH_TOPIC, STATE_TOPIC, AIR_TOPIC]
+    if missing := [topic for topic in needed if topic not in log.topics]:
+        raise InputError(f"{log.path}: no {missing[0]} in it: there is nothing to compare with")
+    blocks = list(log.blocks(needed))
     t = np.concatenate([_seconds(log, b[TRUTH_TOPIC]) for b in blocks])
     q_nb = np.concatenate([quaternion(b[TRUTH_TOPIC]["pose"]["pose"]["orientation"]) for b in blocks])
-    if len(t) < 2:
+    vel_n = np.concatenate([vector(b[STATE_TOPIC]["velocity"]) for b in blocks])
+    on_ground = np.concatenate([b[AIR_TOPIC]["on_ground"] for b in blocks])
+    rows = min(map(len, (t, q_nb, vel_n, on_ground)))  # a recovered log may end between two topics
+    if rows < 2:
         raise InputError(f"{log.path}: {TRUTH_TOPIC} is empty: there is nothing to compare with")
-    ground = np.zeros(len(t), bool)
-    if AIR_TOPIC in topics:
-        at = np.concatenate([_seconds(log, b[AIR_TOPIC]) for b in blocks])
-        ground = np.concatenate([b[AIR_TOPIC]["on_ground"] for b in blocks])[_row(at, t)]
-    return _Truth(t, q_nb, _phases(t, q_nb, ground))
+    t, q_nb = t[:rows], q_nb[:rows]
+    return _Truth(t, q_nb, _phases(t, q_nb, np.linalg.norm(vel_n[:rows], axis=1), on_ground[:rows]))
 
 
-def _phases(t: np.ndarray, q_nb: np.ndarray, ground: np.ndarray) -> np.ndarray:
+def _phases(t: np.ndarray, q_nb: np.ndarray, speed: np.ndarray, on_ground: np.ndarray) -> np.ndarray:
     """Index into PHASES (n,)."""
-    heading = np.unwrap(metrics.euler(q_nb)[:, 2])
     half = max(1, round(1.0 / float(np.median(np.diff(t)))))
     later, earlier = np.minimum(np.arange(len(t)) + half, len(t) - 1), np.maximum(np.arange(len(t)) - half, 0)
-    turning = np.abs(heading[later] - heading[earlier]) > TURN_RATE * (t[later] - t[earlier])
-    last_turn = np.maximum.accumulate(np.where(turning & ~ground, t, -np.inf))
-    phase = np.where(t - last_turn < SETTLING, PHASES.index("settling"), PHASES.index("straight"))
+
+    def slope(x: np.ndarray) -> np.ndarray:
+        return np.abs(x[later] - x[earlier]) / np.maximum(t[later] - t[earlier], 1e-9)
+
+    standing = on_ground & (speed < STANDING)
+    turning = ~on_ground & (slope(np.unwrap(metrics.euler(q_nb)[:, 2])) > TURN_RATE)
+    unsteady = turning | (~standing & (on_ground | (slope(speed) > ACCELERATION)))
+    last = np.maximum.accumulate(np.where(unsteady, t, -np.inf))
+    phase = np.full(len(t), PHASES.index("straight"))
+    phase[t - last < SETTLING] = PHASES.index("transient")
     phase[turning] = PHASES.index("turning")
-    phase[ground] = PHASES.index("ground")
+    phase[standing] = PHASES.index("ground")
     return phase
 
 
