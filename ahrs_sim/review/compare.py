@@ -27,7 +27,7 @@ ACCELERATION = 1.0
 """m/s2 along the path (mean over 2 s) from which on flight is not steady: take-off, flare, roll-out."""
 
 SETTLING = 20.0
-"""s after a turn or an acceleration that do not count as straight: what an estimator learnt wrong in it dies away."""
+"""s after a turn or an acceleration that count as transient: what an estimator learnt wrong in it dies away."""
 
 STANDING = 0.5
 """m/s below which an aircraft on its wheels stands."""
@@ -123,10 +123,9 @@ def _phases(t: np.ndarray, q_nb: np.ndarray, speed: np.ndarray, on_ground: np.nd
     turning = ~on_ground & (slope(np.unwrap(metrics.euler(q_nb)[:, 2])) > TURN_RATE)
     unsteady = turning | (~standing & (on_ground | (slope(speed) > ACCELERATION)))
     last = np.maximum.accumulate(np.where(unsteady, t, -np.inf))
-    phase = np.full(len(t), PHASES.index("straight"))
+    phase = np.where(standing, PHASES.index("ground"), PHASES.index("straight"))
     phase[t - last < SETTLING] = PHASES.index("transient")
     phase[turning] = PHASES.index("turning")
-    phase[standing] = PHASES.index("ground")
     return phase
 
 
