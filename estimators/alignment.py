@@ -15,6 +15,7 @@ import numpy as np
 
 from estimators.jit import njit
 from estimators.rotations import attitude_matrix, from_euler, triad
+from estimators.rows import ACCEL, GYRO, MAG, MAG_NEW, T
 from estimators.types import SensorInfo, Site
 
 MOVING_S = 5.0  # s
@@ -73,23 +74,25 @@ ALIGNING, STILL, COARSE = range(3)
 
 
 @njit
-def _add(s: Stretch, which: int, sensor: int, n: float, values: np.ndarray) -> None:
-    """Add one reading of a sensor (0 gyro, 1 accelerometer, 2 magnetometer), the n-th."""
+def _add(s: Stretch, which: int, sensor: int, n: float, row: np.ndarray, at: int) -> None:
+    """Add one reading of a sensor (0 gyro, 1 accelerometer, 2 magnetometer), the n-th, from `row[at:at + 3]`."""
     first = 3 * sensor
     before = np.empty(3)
     for i in range(3):
-        before[i] = values[i] - s.mean[which, first + i]
+        before[i] = row[at + i] - s.mean[which, first + i]
         s.mean[which, first + i] += before[i] / n
     for i in range(3):
         for j in range(3):
-            s.spread[which, first + i, j] += before[i] * (values[j] - s.mean[which, first + j])
+            s.spread[which, first + i, j] += before[i] * (row[at + j] - s.mean[which, first + j])
 
 
 @njit
 def _clear(s: Stretch, which: int) -> None:
-    s.count[2 * which : 2 * which + 2] = 0.0
-    s.mean[which] = 0.0
-    s.spread[which] = 0.0
+    s.count[2 * which] = s.count[2 * which + 1] = 0.0
+    for i in range(9):
+        s.mean[which, i] = 0.0
+        for j in range(3):
+            s.spread[which, i, j] = 0.0
 
 
 @njit
@@ -109,12 +112,13 @@ def _second_is_still(s: Stretch, gyro_limit: float, accel_limit: float, gravity:
 
 @njit
 def align(
-    s: Stretch, samples: Any, align_s: float, wait_s: float, gyro_limit: float, accel_limit: float, gravity: float
+    s: Stretch, rows: np.ndarray, align_s: float, wait_s: float, gyro_limit: float, accel_limit: float, gravity: float
 ) -> tuple[int, int]:
     """Take rows until aligned: the number of rows taken and ALIGNING, STILL or COARSE."""
     clock, count = s.clock, s.count
-    for k in range(samples.t.shape[0]):
-        t = samples.t[k]
+    for k in range(rows.shape[0]):
+        row = rows[k]
+        t = row[T]
         if math.isnan(clock[BEGAN]):
             clock[BEGAN] = clock[STRETCH] = clock[SECOND] = t
             clock[EVER_STILL] = 0.0
@@ -136,19 +140,19 @@ def align(
             clock[SECOND] = t
         finite = True
         for i in range(3):
-            finite &= math.isfinite(samples.gyro_b[k, i]) and math.isfinite(samples.accel_b[k, i])
-        mag = samples.mag_new[k]
+            finite &= math.isfinite(row[GYRO + i]) and math.isfinite(row[ACCEL + i])
+        mag = row[MAG_NEW] != 0.0
         for i in range(3):
-            mag &= math.isfinite(samples.mag_b[k, i])
+            mag &= math.isfinite(row[MAG + i])
         for which in range(2):
             if finite:
                 count[2 * which] += 1.0
-                _add(s, which, 0, count[2 * which], samples.gyro_b[k])
-                _add(s, which, 1, count[2 * which], samples.accel_b[k])
+                _add(s, which, 0, count[2 * which], row, GYRO)
+                _add(s, which, 1, count[2 * which], row, ACCEL)
             if mag:
                 count[2 * which + 1] += 1.0
-                _add(s, which, 2, count[2 * which + 1], samples.mag_b[k])
-    return samples.t.shape[0], ALIGNING
+                _add(s, which, 2, count[2 * which + 1], row, MAG)
+    return rows.shape[0], ALIGNING
 
 
 def limits(sensors: SensorInfo) -> tuple[float, float]:

@@ -1,16 +1,15 @@
 """A filter on a model as an object: alignment, then the estimation loop, block by block."""
 
 import copy
-import dataclasses
-from collections import namedtuple
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import numpy as np
 
-from estimators.alignment import ALIGNING, STILL, Start, Stretch, align, conclude, limits
+from estimators.alignment import ALIGNING, LAST, STILL, Start, Stretch, align, conclude, limits
 from estimators.errors import EstimationError, SampleError
 from estimators.filters.base import Work
+from estimators.rows import ESTIMATE_WIDTH, pack, unpack
 from estimators.run import Carry, first_bad_stamp, run
 from estimators.types import Estimates, Samples, SensorInfo, Site
 
@@ -33,42 +32,6 @@ class Estimator(Protocol):
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from a copy made by `state`."""
         ...
-
-
-_SAMPLES = [(f.name, np.dtype(f.metadata["dtype"]), f.metadata["shape"]) for f in dataclasses.fields(Samples)]
-_ESTIMATES = [(f.name, np.dtype(f.metadata["dtype"]), f.metadata["shape"]) for f in dataclasses.fields(Estimates)]
-_WIDTHS = [(name, int(np.prod(shape)), shape) for name, dtype, shape in _ESTIMATES if dtype == float]
-_WIDTH = sum(width for _, width, _ in _WIDTHS)
-SampleColumns = namedtuple("SampleColumns", [name for name, _, _ in _SAMPLES])
-EstimateColumns = namedtuple("EstimateColumns", [name for name, _, _ in _ESTIMATES])
-
-
-def sample_columns(samples: Samples) -> SampleColumns:  # type: ignore[valid-type]
-    """The columns as kernels take them: contiguous arrays of exactly the declared types.
-
-    Raises:
-        SampleError: a column whose shape does not fit the time stamps (n,).
-    """
-    rows = samples.t.shape[0] if samples.t.ndim == 1 else -1
-    columns = []
-    for name, dtype, shape in _SAMPLES:
-        column = getattr(samples, name)
-        if not column.flags.carray or column.dtype != dtype:
-            column = np.array(column, dtype, order="C")
-        if column.shape[0] != rows or column.shape[1:] != shape:
-            raise SampleError(f"Samples: {name} has shape {column.shape}, expected {('n', *shape)} with n = len(t)")
-        columns.append(column)
-    return SampleColumns(*columns)
-
-
-def blank_estimates(rows: int) -> EstimateColumns:  # type: ignore[valid-type]
-    """Columns of `Estimates`, NaN and ALIGNING, in one piece of memory (allocating is what costs with single rows)."""
-    memory = np.full(rows * _WIDTH, np.nan)
-    columns, start = {"status": np.zeros(rows, np.uint8)}, 0
-    for name, width, shape in _WIDTHS:
-        columns[name] = memory[start : start + rows * width].reshape(rows, *shape)
-        start += rows * width
-    return EstimateColumns(**columns)
 
 
 class FilterEstimator:
@@ -113,25 +76,26 @@ class FilterEstimator:
             SampleError: a column of a wrong shape, a time stamp that is not finite or more than a second back.
                 Nothing of the block has been used then.
         """
-        rows = sample_columns(samples)
-        t = rows.t  # type: ignore[attr-defined]
-        last = self._stretch.clock[3] if self._carry is None else self._carry.clock[0]
-        bad = first_bad_stamp(t, last)
+        rows = pack(samples)
+        last = self._stretch.clock[LAST] if self._carry is None else self._carry.clock[0]
+        bad = first_bad_stamp(rows, last)
         if bad >= 0:
-            raise SampleError(f"{self.name}: time stamp {t[bad]} in row {bad} after {t[bad - 1] if bad else last}")
-        out = blank_estimates(len(t))
+            before = rows[bad - 1, 0] if bad else last
+            raise SampleError(f"{self.name}: time stamp {rows[bad, 0]} s in row {bad} after {before} s")
+        n = len(rows)
+        out, status = np.full((n, ESTIMATE_WIDTH), np.nan), np.zeros(n, np.uint8)
         done = 0
         if self._carry is None:
             settings = self.settings
             done, phase = align(
                 self._stretch, rows, settings["align_s"], settings["wait_s"], *self._limits, self.site.gravity
             )
-            out.t[:done] = t[:done]  # type: ignore[attr-defined]
+            out[:done, 0] = rows[:done, 0]
             if phase != ALIGNING:
                 self._begin(still=phase == STILL)
-        if done < len(t):
-            run(self._method, self._model, self._carry, self._work, rows, out, done)
-        return Estimates(*out)
+        if done < n:
+            run(self._method, self._model, self._carry, self._work, rows, out, status, done)
+        return unpack(out, status)
 
     def _begin(self, still: bool) -> None:
         alignment = conclude(self._stretch, still, self.site, self.sensors)
@@ -147,7 +111,7 @@ class FilterEstimator:
             used=np.zeros(start.measurements, bool),
             P_restart=start.P_restart,
         )
-        self._work = Work.make(self._model.layout, len(start.x), len(start.P))
+        self._work = Work.make(self._model, len(start.x))
 
     def state(self) -> dict[str, Any]:
         """A copy of everything that goes on from block to block."""
@@ -165,4 +129,4 @@ class FilterEstimator:
         self._stretch, self._model, self._carry = copied["stretch"], copied["model"], copied["carry"]
         self._work = None
         if self._carry is not None:
-            self._work = Work.make(self._model.layout, len(self._carry.x), len(self._carry.P))
+            self._work = Work.make(self._model, len(self._carry.x))

@@ -41,7 +41,7 @@ def compiler(*packages: Path) -> Callable[..., Any]:
             before = numba.config.CACHE_DIR
             numba.config.CACHE_DIR = folder
             try:
-                return numba.njit(cache=True, error_model="numpy", **options)(function)
+                return numba.njit(cache=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
             finally:
                 numba.config.CACHE_DIR = before
 

@@ -10,13 +10,12 @@ import numpy as np
 from estimators.jit import njit
 
 
-@njit
-def leading_cholesky(P: np.ndarray, columns: int, L: np.ndarray) -> bool:
+@njit(forceinline=True)
+def leading_cholesky(n: int, P: np.ndarray, columns: int, L: np.ndarray) -> bool:
     """The first `columns` columns of the lower Cholesky factor of P into L (n, columns); False when P is not positive.
 
     The later columns do not move the first `columns` states, so a function that reads only these needs no more.
     """
-    n = P.shape[0]
     for j in range(columns):
         pivot = P[j, j]
         for k in range(j):
@@ -36,12 +35,13 @@ def leading_cholesky(P: np.ndarray, columns: int, L: np.ndarray) -> bool:
     return True
 
 
-@njit
+@njit(forceinline=True)
 def condition(
+    n: int,
+    rows: int,
     S: np.ndarray,
     C: np.ndarray,
     P: np.ndarray,
-    rows: int,
     residual: np.ndarray,
     used: np.ndarray,
     variance: np.ndarray,
@@ -51,13 +51,14 @@ def condition(
 
     The Kalman update of any filter (paper 000 eq. (13)-(15)) without forming a gain or an inverse: each pass conditions
     states and later measurements on measurement k, so what is left of `residual` are independent innovations and
-    the pivots are their variances. A measurement that is not used is left out, which is exact.
+    the pivots are their variances. A measurement that is not used is left out, which is exact. P stays exactly symmetric.
 
     Args:
+        n: number of states.
+        rows: number of measurements.
         S: (rows, rows) covariance of the measurements, noise included, lower half; overwritten.
         C: (rows, n) covariance of measurements and state; overwritten.
         P: (n, n) covariance of the state; becomes the posterior.
-        rows: number of measurements.
         residual: (rows,) measured minus predicted; becomes the independent innovations.
         used: (rows,) which measurements count.
         variance: (rows,) out, variances of the innovations.
@@ -66,41 +67,41 @@ def condition(
     Returns:
         False when the joint covariance is not positive: the results are then void.
     """
-    n = P.shape[0]
-    for i in range(n):
-        dx[i] = 0.0
     for k in range(rows):
         if not used[k]:
+            for i in range(n):
+                C[k, i] = 0.0
+            residual[k] = 0.0
             continue
         pivot = S[k, k]
         if not pivot > 0.0:
             return False
         variance[k] = pivot
         inverse = 1.0 / pivot
-        r = residual[k]
-        for i in range(n):
-            gain = C[k, i] * inverse
-            dx[i] += gain * r
-            for j in range(i + 1):
-                P[i, j] -= gain * C[k, j]
         for m in range(k + 1, rows):
             if used[m]:
                 gain = S[m, k] * inverse
-                residual[m] -= gain * r
+                residual[m] -= gain * residual[k]
                 for i in range(n):
                     C[m, i] -= gain * C[k, i]
                 for j in range(k + 1, m + 1):
                     S[m, j] -= gain * S[j, k]
-    mirror(P)
+    for k in range(rows):  # from here on in units of the innovation's standard deviation
+        scale = 1.0 / math.sqrt(variance[k]) if used[k] else 0.0
+        S[k, 0] = scale * residual[k]
+        for i in range(n):
+            C[k, i] *= scale
+    for i in range(n):
+        shift = 0.0
+        for k in range(rows):
+            shift += C[k, i] * S[k, 0]
+        dx[i] = shift
+        for j in range(i + 1):
+            left = P[i, j]
+            for k in range(rows):
+                left -= C[k, i] * C[k, j]
+            P[i, j] = P[j, i] = left
     return True
-
-
-@njit
-def mirror(P: np.ndarray) -> None:
-    """Copy the lower half of P (n, n) to the upper."""
-    for i in range(1, P.shape[0]):
-        for j in range(i):
-            P[j, i] = P[i, j]
 
 
 @njit

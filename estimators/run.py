@@ -21,8 +21,10 @@ from estimators.models.base import (
     report,
     residual,
     retract,
+    size,
 )
-from estimators.types import Status
+from estimators.rows import E_INNOVATION, E_VARIANCE, T
+from estimators.types import MEASUREMENTS, Status
 
 MAX_STEP = 0.5  # s, longest step of one prediction
 MAX_STEPS = 120  # a longer gap than a minute is bridged with longer steps
@@ -45,41 +47,50 @@ class Carry(NamedTuple):
 
 
 @njit
-def first_bad_stamp(t: np.ndarray, last: float) -> int:
-    """Index of the first stamp that is not finite or jumps back by more than `BACKWARDS`, -1 when there is none."""
+def first_bad_stamp(rows: np.ndarray, last: float) -> int:
+    """Index of the first row whose stamp is not finite or jumps back by more than `BACKWARDS`, -1 when there is none."""
     latest = last
-    for k in range(t.shape[0]):
-        if not math.isfinite(t[k]) or t[k] < latest - BACKWARDS:
+    for k in range(rows.shape[0]):
+        t = rows[k, T]
+        if not math.isfinite(t) or t < latest - BACKWARDS:
             return k
-        if not latest >= t[k]:
-            latest = t[k]
+        if not latest >= t:
+            latest = t
     return -1
 
 
-@njit(forceinline=True)
-def update(method: Any, model: Any, carry: Carry, work: Work, innovation: np.ndarray, variance: np.ndarray) -> bool:
-    """All measurement groups of a row; writes the independent innovations and their variances (NaN when not used)."""
-    x, P, u = carry.x, carry.P, carry.u
-    for g in range(model.layout.groups.shape[0]):
-        start, rows = model.layout.groups[g, START], model.layout.groups[g, ROWS]
+@njit(forceinline=True, no_cpython_wrapper=True)
+def update(
+    method: Any,
+    model: Any,
+    x: np.ndarray,
+    P: np.ndarray,
+    u: np.ndarray,
+    z: np.ndarray,
+    used: np.ndarray,
+    work: Work,
+    answer: np.ndarray,
+) -> bool:
+    """All measurement groups of a row; writes the independent innovations and their variances to the estimates."""
+    for g in range(model.groups.shape[0]):
+        start, rows = model.groups[g, START], model.groups[g, ROWS]
         any_used = False
         for i in range(rows):
-            work.used[i] = carry.used[start + i]
-            any_used |= work.used[i]
+            work.measured[i] = z[start + i]
+            work.used[i] = used[start + i]
+            any_used |= used[start + i]
         if not any_used:
             continue
         if not project(method, model, g, x, P, u, work):
             return False
         measurement_noise(model, g, x, u, work.S)
-        for i in range(rows):
-            work.measured[i] = carry.z[start + i]
         residual(model, g, work.measured, work.y, work.residual)
-        if not condition(work.S, work.C, P, rows, work.residual, work.used, work.variance, work.dx):
+        if not condition(size(model), rows, work.S, work.C, P, work.residual, work.used, work.variance, work.dx):
             return False
         for i in range(rows):
             if work.used[i]:
-                innovation[start + i] = work.residual[i]
-                variance[start + i] = work.variance[i]
+                answer[E_INNOVATION + start + i] = work.residual[i]
+                answer[E_VARIANCE + start + i] = work.variance[i]
         retract(model, x, work.dx, work.x)
         for i in range(x.shape[0]):
             x[i] = work.x[i]
@@ -87,49 +98,49 @@ def update(method: Any, model: Any, carry: Carry, work: Work, innovation: np.nda
     return True
 
 
-@njit(forceinline=True)
-def advance(method: Any, model: Any, carry: Carry, work: Work, dt: float) -> bool:
-    """Predict over dt seconds, in several steps when it is a gap."""
-    steps = 1
-    if dt > MAX_STEP:
-        steps = min(MAX_STEPS, int(math.ceil(dt / MAX_STEP)))
-    for _ in range(steps):
-        if not predict(method, model, carry.x, carry.P, carry.u, dt / steps, work):
-            return False
-    return True
-
-
 @njit
-def run(method: Any, model: Any, carry: Carry, work: Work, samples: Any, out: Any, first: int) -> None:
-    """Rows `first` to the end of `samples` (tuple of the columns of `Samples`) into `out` (those of `Estimates`)."""
-    x, P = carry.x, carry.P
+def run(
+    method: Any,
+    model: Any,
+    carry: Carry,
+    work: Work,
+    rows: np.ndarray,
+    out: np.ndarray,
+    status: np.ndarray,
+    first: int,
+) -> None:
+    """Rows `first` to the end of samples (n, SAMPLE_WIDTH) into estimates (n, ESTIMATE_WIDTH) and status (n,)."""
+    x, P, memory, clock, u, z, used = carry.x, carry.P, carry.memory, carry.clock, carry.u, carry.z, carry.used
     before = np.empty_like(x)
-    for k in range(first, samples.t.shape[0]):
-        t = samples.t[k]
-        out.t[k] = t
-        dt = t - carry.clock[0]
+    for k in range(first, rows.shape[0]):
+        row, answer = rows[k], out[k]
+        t = row[T]
+        answer[0] = t
+        dt = t - clock[0]
         if dt <= 0.0:
-            out.status[k] = _COASTING
-            report(model, x, P, carry.memory, out, k)
+            status[k] = _COASTING
+            report(model, x, P, memory, answer)
             continue
+        clock[0] = t
         for i in range(x.shape[0]):
             before[i] = x[i]
-        status = load(model, samples, k, x, carry.memory, carry.u, carry.z, carry.used)
+        state = load(model, row, x, memory, u, z, used)
+        steps = 1 if dt <= MAX_STEP else 0  # none at the first row of all, where dt is NaN
+        if dt > MAX_STEP:
+            steps = min(MAX_STEPS, int(math.ceil(dt / MAX_STEP)))
+            state = _COASTING
         ok = True
-        if dt > 0.0:  # not at the first row of all
-            ok = advance(method, model, carry, work, dt)
-            if dt > MAX_STEP:
-                status = _COASTING
-        carry.clock[0] = t
-        if not (ok and update(method, model, carry, work, out.innovation[k], out.innovation_var[k]) and healthy(x, P)):
-            status = _DIVERGED
+        for _ in range(steps):
+            ok = ok and predict(method, model, x, P, u, dt / steps, work)
+        ok = ok and update(method, model, x, P, u, z, used, work, answer)
+        if not (ok and healthy(x, P)):
+            state = _DIVERGED
             for i in range(x.shape[0]):
                 x[i] = before[i]
             for i in range(P.shape[0]):
                 for j in range(P.shape[0]):
                     P[i, j] = carry.P_restart[i, j]
-            for i in range(out.innovation.shape[1]):
-                out.innovation[k, i] = math.nan
-                out.innovation_var[k, i] = math.nan
-        out.status[k] = status
-        report(model, x, P, carry.memory, out, k)
+            for i in range(2 * MEASUREMENTS):
+                answer[E_INNOVATION + i] = math.nan
+        status[k] = state
+        report(model, x, P, memory, answer)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimators.generic import generic
-from estimators.models.base import READ, ROWS, Layout
+from estimators.models.base import READ, ROWS, changed, read, size
 
 
 class Work(NamedTuple):
@@ -36,17 +36,18 @@ class Work(NamedTuple):
     used: np.ndarray  # (rows,) bool
 
     @classmethod
-    def make(cls, layout: Layout, raw: int, n: int) -> "Work":
-        """Memory for a model of this layout, `raw` numbers in its state, `n` in its error."""
-        read = max(layout.read, int(layout.groups[:, READ].max()))
-        rows = max(layout.changed, int(layout.groups[:, ROWS].max()))
+    def make(cls, model: Any, raw: int) -> "Work":
+        """Memory for a model with `raw` numbers in its state."""
+        n = size(model)
+        columns = max(read(model), int(model.groups[:, READ].max()))
+        rows = max(changed(model), int(model.groups[:, ROWS].max()))
 
         def zeros(*shape: int) -> np.ndarray:
             return np.zeros(shape)
 
         return cls(
-            x=zeros(raw), point=zeros(raw), moved=zeros(raw), dx=zeros(n), L=zeros(n, read), odd=zeros(read, rows),
-            even=zeros(read, rows), shift=zeros(rows), plus=zeros(rows), minus=zeros(rows), J=zeros(rows, n),
+            x=zeros(raw), point=zeros(raw), moved=zeros(raw), dx=zeros(n), L=zeros(n, columns), odd=zeros(columns, rows),
+            even=zeros(columns, rows), shift=zeros(rows), plus=zeros(rows), minus=zeros(rows), J=zeros(rows, n),
             T=zeros(rows, n), S=zeros(rows, rows), C=zeros(rows, n), y=zeros(rows), measured=zeros(rows), residual=zeros(rows),
             variance=zeros(rows), used=np.zeros(rows, bool),
         )  # fmt: skip

@@ -21,21 +21,24 @@ from estimators.filters.base import Work
 from estimators.filters.ekf import project_linear
 from estimators.generic import generic
 from estimators.jit import njit
-from estimators.linalg import leading_cholesky, mirror
+from estimators.linalg import leading_cholesky
 from estimators.models.base import (
     LINEAR,
     READ,
     ROWS,
+    changed,
     difference,
     observe,
     process_noise,
     propagate,
+    read,
     residual,
     retract,
+    size,
 )
 
 
-@njit
+@njit(forceinline=True)
 def spread(
     d: np.ndarray,
     s: np.ndarray,
@@ -65,16 +68,16 @@ def rule(method: Any, n: int) -> tuple[float, float, float]:  # type: ignore[emp
 
 def predict_points(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarray, dt: float, work: Work) -> bool:
     """Time update (paper 000 eq. (2)-(6))."""
-    n, changed, read = P.shape[0], model.layout.changed, model.layout.read
+    n, moved, columns = size(model), changed(model), read(model)
     h, even, square = rule(method, n)
     L, d, s, shift, plus, minus, dx = work.L, work.odd, work.even, work.shift, work.plus, work.minus, work.dx
-    if not leading_cholesky(P, read, L):
+    if not leading_cholesky(n, P, columns, L):
         return False
     centre = work.x
     propagate(model, x, u, dt, centre)
-    for a in range(changed):
+    for a in range(moved):
         shift[a] = 0.0
-    for i in range(read):
+    for i in range(columns):
         for j in range(n):
             dx[j] = h * L[j, i]
         retract(model, x, dx, work.point)
@@ -85,43 +88,44 @@ def predict_points(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.
         retract(model, x, dx, work.point)
         propagate(model, work.point, u, dt, work.moved)
         difference(model, work.moved, centre, minus)
-        for a in range(changed):
+        for a in range(moved):
             d[i, a] = plus[a] - minus[a]
             s[i, a] = plus[a] + minus[a]
             shift[a] += s[i, a]
     for j in range(n):
         dx[j] = 0.0
-    for a in range(changed):
+    for a in range(moved):
         shift[a] *= 0.5 / (h * h)
         dx[a] = shift[a]
     retract(model, centre, dx, x)
-    spread(d, s, shift, read, changed, 0.25 / (h * h), even, square, P)
-    for j in range(changed, n):
-        for a in range(changed):
+    spread(d, s, shift, columns, moved, 0.25 / (h * h), even, square, P)
+    for j in range(moved, n):
+        for a in range(moved):
             total = 0.0
-            for i in range(read):
+            for i in range(columns):
                 total += L[j, i] * d[i, a]
-            P[j, a] = total * (0.5 / h)
-    mirror(P)
+            P[j, a] = P[a, j] = total * (0.5 / h)
+    for a in range(moved):
+        for b in range(a):
+            P[b, a] = P[a, b]
     process_noise(model, x, u, dt, P)
     return True
 
 
 def project_points(method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work) -> bool:  # fmt: skip
     """Measurement moments (paper 000 eq. (7)-(12))."""
-    shape = model.layout.groups[group]
-    if shape[LINEAR] == 1:
+    if model.groups[group, LINEAR] == 1:
         return project_linear(method, model, group, x, P, u, work)
-    n, rows, read = P.shape[0], shape[ROWS], shape[READ]
+    n, rows, columns = size(model), model.groups[group, ROWS], model.groups[group, READ]
     h, even, square = rule(method, n)
     L, d, s, shift, plus, minus, dx = work.L, work.odd, work.even, work.shift, work.plus, work.minus, work.dx
-    if not leading_cholesky(P, read, L):
+    if not leading_cholesky(n, P, columns, L):
         return False
     y, C = work.y, work.C
     observe(model, group, x, u, y)
     for a in range(rows):
         shift[a] = 0.0
-    for i in range(read):
+    for i in range(columns):
         for j in range(n):
             dx[j] = h * L[j, i]
         retract(model, x, dx, work.point)
@@ -140,12 +144,12 @@ def project_points(method: Any, model: Any, group: int, x: np.ndarray, P: np.nda
         shift[a] *= 0.5 / (h * h)
         for j in range(n):
             C[a, j] = 0.0
-    spread(d, s, shift, read, rows, 0.25 / (h * h), even, square, work.S)
+    spread(d, s, shift, columns, rows, 0.25 / (h * h), even, square, work.S)
     for a in range(rows):
         y[a] += shift[a]
         for j in range(n):
             total = 0.0
-            for i in range(min(j + 1, read)):
+            for i in range(min(j + 1, columns)):
                 total += L[j, i] * d[i, a]
             C[a, j] = total * (0.5 / h)
     return True

@@ -1,38 +1,49 @@
 """What a model supplies to the filters.
 
-A model is a `NamedTuple` of parameters (every field an array or a float, and `layout`) with the functions below
-registered for its type. Its state `x` (raw) may be a manifold, such as a quaternion with other states: the filter then works on
-an error of `n` components that `retract` adds to x and `difference` finds between two states. For a plain vector both
-are the defaults, addition and subtraction, and `len(x) == n`.
+A model is a `NamedTuple` of parameters (every field an array or a float, and `groups`) with the functions below registered
+for its type. Its state `x` (raw) may be a manifold, such as a quaternion with other states: the filter then works on an
+error of `size` components that `retract` adds to x and `difference` finds between two states. For a plain vector
+both are the defaults, addition and subtraction, and `len(x) == size`.
 
-States are ordered so that the components which the nonlinear functions change and read come first: `propagate` changes the first
-`layout.changed` error components and reads the first `layout.read`; the rest stay as they are. Filters use this, exactly.
+States are ordered so that what the nonlinear functions change and read comes first: `propagate` changes the first `changed`
+error components and reads the first `read`; the rest stay as they are. Filters use this, exactly. The three sizes are
+constants in compiled code, so loops over them are unrolled.
 
-Measurements come in groups, processed one after the other. Row g of `layout.groups` says of group g: `START` (its
-first row in z), `ROWS`, `FROM` and `READ` (it depends on the error components FROM to READ - 1), `LINEAR` (1 when the prediction
-is linear in them: no filter approximates it then).
+Measurements come in groups, processed one after the other. Row g of `groups` (int64) says of group g: `START` (its
+first row in z), `ROWS`, `FROM` and `READ` (it depends on the error components FROM to READ - 1), `LINEAR` (1 when the
+prediction is linear in them: no filter approximates it then).
 """
 
-from typing import Any, NamedTuple
+import math
+from typing import Any
 
 import numpy as np
 
 from estimators.generic import default, generic
+from estimators.jit import njit
+from estimators.rows import E_DOWN, E_Q
 
 START, ROWS, FROM, READ, LINEAR = range(5)
 
 
-class Layout(NamedTuple):
-    """Sizes and structure of a model."""
-
-    changed: int
-    read: int
-    groups: np.ndarray  # (groups, 5) int64
+@generic
+def size(model: Any) -> int:  # type: ignore[empty-body]
+    """Components of the error, a constant."""
 
 
 @generic
-def load(model: Any, samples: Any, k: int, x: np.ndarray, memory: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray) -> int:  # type: ignore[empty-body]  # fmt: skip
-    """Row k of the samples into inputs u, measurements z and `used`; what must be kept lives in `memory`. A `Status`."""
+def changed(model: Any) -> int:  # type: ignore[empty-body]
+    """How many of the first of them `propagate` changes, a constant."""
+
+
+@generic
+def read(model: Any) -> int:  # type: ignore[empty-body]
+    """How many of the first of them it reads, a constant."""
+
+
+@generic
+def load(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray) -> int:  # type: ignore[empty-body]  # fmt: skip
+    """A row of samples (offsets: `estimators.rows`) into inputs u, measurements z and `used`; what must be kept lives in `memory`. A `Status`."""
 
 
 @generic
@@ -86,28 +97,39 @@ def constrain(model: Any, x: np.ndarray) -> None:
 
 
 @generic
-def report(model: Any, x: np.ndarray, P: np.ndarray, memory: np.ndarray, out: Any, k: int) -> None:
-    """Row k of the estimates (a tuple of the columns of `Estimates`) from the state."""
+def report(model: Any, x: np.ndarray, P: np.ndarray, memory: np.ndarray, row: np.ndarray) -> None:
+    """A row of estimates (offsets: `estimators.rows`) from the state."""
 
 
 @default
 def _residual(model: Any, group: int, z: np.ndarray, y: np.ndarray, out: np.ndarray) -> None:
-    for i in range(model.layout.groups[group, ROWS]):
+    for i in range(model.groups[group, ROWS]):
         out[i] = z[i] - y[i]
 
 
 @default
 def _retract(model: Any, x: np.ndarray, dx: np.ndarray, out: np.ndarray) -> None:
-    for i in range(dx.shape[0]):
+    for i in range(size(model)):
         out[i] = x[i] + dx[i]
 
 
 @default
 def _difference(model: Any, x: np.ndarray, origin: np.ndarray, out: np.ndarray) -> None:
-    for i in range(model.layout.changed):
+    for i in range(changed(model)):
         out[i] = x[i] - origin[i]
 
 
 @default
 def _constrain(model: Any, x: np.ndarray) -> None:
     pass
+
+
+@njit(forceinline=True)
+def report_attitude(q: np.ndarray, row: np.ndarray) -> None:
+    """Quaternion and down vector of a row of estimates from q_nb (first four elements), of any length."""
+    a, b, c, d = q[0], q[1], q[2], q[3]
+    scale = 1.0 / math.sqrt(a * a + b * b + c * c + d * d)
+    a, b, c, d = a * scale, b * scale, c * scale, d * scale
+    row[E_Q], row[E_Q + 1], row[E_Q + 2], row[E_Q + 3] = a, b, c, d
+    row[E_DOWN], row[E_DOWN + 1] = 2.0 * (b * d - a * c), 2.0 * (c * d + a * b)
+    row[E_DOWN + 2] = a * a - b * b - c * c + d * d

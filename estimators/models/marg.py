@@ -25,21 +25,40 @@ import numpy as np
 from estimators.alignment import Alignment, Start, attitude_block
 from estimators.generic import register
 from estimators.jit import njit
-from estimators.models.base import Layout
+from estimators.models.base import report_attitude
 from estimators.rotations import exp_terms, normalise, to_body, to_body_by_q, to_nav, turn
+from estimators.rows import (
+    ACCEL,
+    AIR_NEW,
+    AIRSPEED,
+    ALPHA,
+    BETA,
+    E_COV,
+    E_GYRO_BIAS,
+    E_GYRO_SIGMA,
+    E_Q,
+    GNSS_NEW,
+    GNSS_T,
+    GYRO,
+    MAG,
+    MAG_NEW,
+    VEL,
+    T,
+)
 from estimators.types import SensorInfo, Site, Status
 
 ATTITUDE, RATE, BIAS = slice(0, 4), slice(4, 7), slice(7, 10)
 
-# inputs u
-_ACCELERATION, _VELOCITY, _SPEED_UP, _ACCEL_FACTOR, INPUTS = 0, 3, 6, 9, 10
+# inputs u:
+# acceleration a_n 0-2, velocity v_b 3-5, its derivative 6-8, factor on the accelerometer's variance 9
+INPUTS = 10
 
 # memory
 _MAG_T, _AID_T, _V, _V_SLOW, _V_DOT, _ALPHA, _BETA, _LAST_VELOCITY, _LAST_T, _A, _A_T, MEMORY = (
     0, 1, 2, 3, 4, 5, 6, 7, 10, 11, 14, 15,
 )  # fmt: skip
 
-NONE, AIRSPEED, GNSS = 0, 1, 2
+NONE, AIR, GNSS = 0, 1, 2
 MAG_TIMEOUT = 1.0  # s without magnetometer: the heading is carried by the gyro
 AID_TIMEOUT = 1.0  # s
 _RUNNING, _COASTING = int(Status.RUNNING), int(Status.COASTING)
@@ -48,7 +67,7 @@ _RUNNING, _COASTING = int(Status.RUNNING), int(Status.COASTING)
 class Marg(NamedTuple):
     """Parameters of the model."""
 
-    layout: Layout
+    groups: np.ndarray  # (2, 5) int64: accelerometer and magnetometer, gyro
     gravity_n: np.ndarray  # (3,) m/s2, G = (0, 0, -g)
     mag_n: np.ndarray  # (3,) T, M
     R_accel: np.ndarray  # (3, 3) (m/s2)^2
@@ -57,7 +76,7 @@ class Marg(NamedTuple):
     Q_rate: np.ndarray  # (3, 3) (rad/s)^2 per second
     q_noise: float  # 1/s, variance of the quaternion's elements: keeps P positive
     bias_noise: float  # (rad/s)^2 per second
-    aiding: int  # NONE, AIRSPEED, GNSS
+    aiding: int  # NONE, AIR, GNSS
     speed_filter: float  # s, time constant of dV/dt
     speed_min: float  # m/s
     unaided_factor: float  # on R_accel while the aid is silent
@@ -114,7 +133,7 @@ def _observe(model: Any, group: int, x: np.ndarray, u: np.ndarray, y: np.ndarray
     to_body(x, m[0], m[1], m[2], y)
     y[3], y[4], y[5] = y[0], y[1], y[2]
     to_body(x, g[0] + u[0], g[1] + u[1], g[2] + u[2], y)
-    if model.aiding == AIRSPEED:
+    if model.aiding == AIR:
         vx, vy, vz = u[3], u[4], u[5]
         y[0] += x[5] * vz - x[6] * vy + u[6]
         y[1] += x[6] * vx - x[4] * vz + u[7]
@@ -135,7 +154,7 @@ def _slope(model: Any, group: int, x: np.ndarray, u: np.ndarray, H: np.ndarray) 
         for j in range(4):
             H[3 + i, j] = H[i, j]
     to_body_by_q(x, g[0] + u[0], g[1] + u[1], g[2] + u[2], H)
-    if model.aiding == AIRSPEED:
+    if model.aiding == AIR:
         vx, vy, vz = u[3], u[4], u[5]
         H[0, 4], H[0, 5], H[0, 6] = 0.0, vz, -vy
         H[1, 4], H[1, 5], H[1, 6] = -vz, 0.0, vx
@@ -160,14 +179,14 @@ def _constrain(model: Any, x: np.ndarray) -> None:
 
 
 def _load(
-    model: Any, samples: Any, k: int, x: np.ndarray, memory: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray
+    model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray
 ) -> int:
-    t = samples.t[k]
-    mag = samples.mag_new[k]
+    t = row[T]
+    mag = row[MAG_NEW] != 0.0
     accel = True
     gyro = True
     for i in range(3):
-        z[i], z[3 + i], z[6 + i] = samples.accel_b[k, i], samples.mag_b[k, i], samples.gyro_b[k, i]
+        z[i], z[3 + i], z[6 + i] = row[ACCEL + i], row[MAG + i], row[GYRO + i]
         accel &= math.isfinite(z[i])
         mag &= math.isfinite(z[3 + i])
         gyro &= math.isfinite(z[6 + i])
@@ -177,10 +196,10 @@ def _load(
         memory[_MAG_T] = t
     status = _RUNNING if accel and gyro and t - memory[_MAG_T] <= MAG_TIMEOUT else _COASTING
     u[9] = 1.0
-    if model.aiding == AIRSPEED:
-        _load_air(model, samples, k, memory, u)
+    if model.aiding == AIR:
+        _load_air(model, row, memory, u)
     elif model.aiding == GNSS:
-        _load_gnss(model, samples, k, x, memory, u)
+        _load_gnss(model, row, x, memory, u)
     if model.aiding != NONE and not t - memory[_AID_T] <= AID_TIMEOUT:
         u[9] = model.unaided_factor
         for i in range(9):
@@ -189,19 +208,19 @@ def _load(
     return status
 
 
-@njit(forceinline=True)
-def _load_air(model: Any, samples: Any, k: int, memory: np.ndarray, u: np.ndarray) -> None:
-    t = samples.t[k]
-    if samples.air_new[k] and math.isfinite(samples.airspeed[k]):
-        speed, age = samples.airspeed[k], t - memory[_AID_T]
+@njit(forceinline=True, no_cpython_wrapper=True)
+def _load_air(model: Any, row: np.ndarray, memory: np.ndarray, u: np.ndarray) -> None:
+    t = row[T]
+    if row[AIR_NEW] != 0.0 and math.isfinite(row[AIRSPEED]):
+        speed, age = row[AIRSPEED], t - memory[_AID_T]
         if not age <= AID_TIMEOUT:
             memory[_V_SLOW] = speed
         elif age > 0.0:
             memory[_V_SLOW] += (1.0 - math.exp(-age / model.speed_filter)) * (speed - memory[_V_SLOW])
         memory[_V_DOT] = (speed - memory[_V_SLOW]) / model.speed_filter
         memory[_V] = speed
-        memory[_ALPHA] = samples.alpha[k] if math.isfinite(samples.alpha[k]) else 0.0
-        memory[_BETA] = samples.beta[k] if math.isfinite(samples.beta[k]) else 0.0
+        memory[_ALPHA] = row[ALPHA] if math.isfinite(row[ALPHA]) else 0.0
+        memory[_BETA] = row[BETA] if math.isfinite(row[BETA]) else 0.0
         memory[_AID_T] = t
     speed, speed_up = memory[_V], memory[_V_DOT]
     if not speed >= model.speed_min:
@@ -212,56 +231,64 @@ def _load_air(model: Any, samples: Any, k: int, memory: np.ndarray, u: np.ndarra
     u[6], u[7], u[8] = speed_up * ahead, speed_up * right, speed_up * down
 
 
-@njit(forceinline=True)
-def _load_gnss(model: Any, samples: Any, k: int, x: np.ndarray, memory: np.ndarray, u: np.ndarray) -> None:
-    if samples.gnss_new[k] and math.isfinite(
-        samples.gnss_t[k] + samples.vel_n[k, 0] + samples.vel_n[k, 1] + samples.vel_n[k, 2]
-    ):
-        valid = samples.gnss_t[k]
+@njit(forceinline=True, no_cpython_wrapper=True)
+def _load_gnss(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray) -> None:
+    if row[GNSS_NEW] != 0.0 and math.isfinite(row[GNSS_T] + row[VEL] + row[VEL + 1] + row[VEL + 2]):
+        valid = row[GNSS_T]
         age = valid - memory[_LAST_T]
         if 0.0 < age <= AID_TIMEOUT:
             for i in range(3):
-                memory[_A + i] = (samples.vel_n[k, i] - memory[_LAST_VELOCITY + i]) / age
+                memory[_A + i] = (row[VEL + i] - memory[_LAST_VELOCITY + i]) / age
             memory[_A_T] = valid - 0.5 * age
-            memory[_AID_T] = samples.t[k]
+            memory[_AID_T] = row[T]
         for i in range(3):
-            memory[_LAST_VELOCITY + i] = samples.vel_n[k, i]
+            memory[_LAST_VELOCITY + i] = row[VEL + i]
         memory[_LAST_T] = valid
     rate_n = np.empty(3)
     to_nav(x, x[4], x[5], x[6], rate_n)
-    angle = min(1.0, max(-1.0, rate_n[2] * (samples.t[k] - memory[_A_T])))  # the acceleration turns with the vehicle
+    angle = min(1.0, max(-1.0, rate_n[2] * (row[T] - memory[_A_T])))  # the acceleration turns with the vehicle
     cosine, sine = math.cos(angle), math.sin(angle)
     u[0] = cosine * memory[_A] - sine * memory[_A + 1]
     u[1] = sine * memory[_A] + cosine * memory[_A + 1]
     u[2] = memory[_A + 2]
 
 
-def _report(model: Any, x: np.ndarray, P: np.ndarray, memory: np.ndarray, out: Any, k: int) -> None:
-    a, b, c, d = x[0], x[1], x[2], x[3]
-    scale = 1.0 / math.sqrt(a * a + b * b + c * c + d * d)
-    a, b, c, d = a * scale, b * scale, c * scale, d * scale
-    q = out.q_nb[k]
-    q[0], q[1], q[2], q[3] = a, b, c, d
-    down = out.down_b[k]
-    down[0], down[1], down[2] = 2.0 * (b * d - a * c), 2.0 * (c * d + a * b), a * a - b * b - c * c + d * d
-    # small body rotation r from dq: r = 2 vec(q* (x) dq)
-    cov = out.att_cov[k]
+def _report(model: Any, x: np.ndarray, P: np.ndarray, memory: np.ndarray, row: np.ndarray) -> None:
+    report_attitude(x, row)
+    # small body rotation r = 2 vec(q* (x) dq): cov = 4 X P X^T with the rows of X below
+    a, b, c, d = row[E_Q], row[E_Q + 1], row[E_Q + 2], row[E_Q + 3]
     for i in range(3):
-        row = (-b, a, d, -c) if i == 0 else (-c, -d, a, b) if i == 1 else (-d, c, -b, a)
-        for j in range(i + 1):
-            col = (-b, a, d, -c) if j == 0 else (-c, -d, a, b) if j == 1 else (-d, c, -b, a)
-            total = 0.0
-            for m in range(4):
-                for n in range(4):
-                    total += row[m] * P[m, n] * col[n]
-            cov[i, j] = 4.0 * total
-            cov[j, i] = 4.0 * total
-        out.gyro_bias[k, i] = x[7 + i]
-        out.gyro_bias_sigma[k, i] = math.sqrt(P[7 + i, 7 + i])
+        xa, xb, xc, xd = (-b, a, d, -c) if i == 0 else (-c, -d, a, b) if i == 1 else (-d, c, -b, a)
+        pa = xa * P[0, 0] + xb * P[1, 0] + xc * P[2, 0] + xd * P[3, 0]
+        pb = xa * P[0, 1] + xb * P[1, 1] + xc * P[2, 1] + xd * P[3, 1]
+        pc = xa * P[0, 2] + xb * P[1, 2] + xc * P[2, 2] + xd * P[3, 2]
+        pd = xa * P[0, 3] + xb * P[1, 3] + xc * P[2, 3] + xd * P[3, 3]
+        row[E_COV + i] = row[E_COV + 3 * i] = 4.0 * (-b * pa + a * pb + d * pc - c * pd)
+        if i >= 1:
+            row[E_COV + 3 + i] = row[E_COV + 3 * i + 1] = 4.0 * (-c * pa - d * pb + a * pc + b * pd)
+        if i == 2:
+            row[E_COV + 8] = 4.0 * (-d * pa + c * pb - b * pc + a * pd)
+        row[E_GYRO_BIAS + i] = x[7 + i]
+        row[E_GYRO_SIGMA + i] = math.sqrt(P[7 + i, 7 + i])
+
+
+def _size(model: Any) -> int:
+    return 10
+
+
+def _changed(model: Any) -> int:
+    return 4  # the quaternion
+
+
+def _read(model: Any) -> int:
+    return 7  # quaternion and rate
 
 
 register(
     Marg,
+    size=_size,
+    changed=_changed,
+    read=_read,
     load=_load,
     propagate=_propagate,
     transition=_transition,
@@ -275,7 +302,7 @@ register(
 
 _GROUPS = {  # start, rows, from, read, linear
     NONE: [[0, 6, 0, 4, 0], [6, 3, 4, 10, 1]],
-    AIRSPEED: [[0, 6, 0, 7, 0], [6, 3, 4, 10, 1]],
+    AIR: [[0, 6, 0, 7, 0], [6, 3, 4, 10, 1]],
     GNSS: [[0, 6, 0, 4, 0], [6, 3, 4, 10, 1]],
 }
 _FLOOR = (1e-5, 1e-11, 1e-7)  # m/s2, T, rad/s: no sensor of a ground phase is taken for better than this
@@ -283,7 +310,7 @@ _FLOOR = (1e-5, 1e-11, 1e-7)  # m/s2, T, rad/s: no sensor of a ground phase is t
 
 def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignment: Alignment) -> Start:
     """The model and its first state from settings (see the catalogue), place, sensors and alignment."""
-    aiding = {"none": NONE, "airspeed": AIRSPEED, "gnss": GNSS}[settings["aiding"]]
+    aiding = {"none": NONE, "airspeed": AIR, "gnss": GNSS}[settings["aiding"]]
     noise = settings["noise"]
     if noise == "auto":
         noise = "from-ground" if aiding == NONE else "practical"
@@ -300,7 +327,7 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
         R_gyro = max(_FLOOR[2] ** 2, sensors.gyro_noise**2 * sensors.rate / 2) * np.eye(3)
         Q_rate = settings["rate_noise"] ** 2 * np.eye(3)
     model = Marg(
-        layout=Layout(4, 7, np.array(_GROUPS[aiding], np.int64)),
+        groups=np.array(_GROUPS[aiding], np.int64),
         gravity_n=np.array([0.0, 0.0, -site.gravity]),
         mag_n=np.array(site.mag_n, float),
         R_accel=np.ascontiguousarray(R_accel),
