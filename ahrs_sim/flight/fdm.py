@@ -124,10 +124,10 @@ class Fdm:
         self.setter(name)(value)
 
     def attachments(self) -> dict[str, bytes]:
-        """The XML files the flight was made from, by path relative to the folder of aircraft."""
+        """The XML files the flight was made from, by path: `aircraft/...`, `engine/...`, `scripts/...`."""
         files = {}
         for path in self.sources:
-            for root in (aircraft_dir(), library_dir()):
+            for root in (library_dir(), aircraft_dir().parent):
                 if path.is_relative_to(root):
                     files[path.relative_to(root).as_posix()] = path.read_bytes()
                     break

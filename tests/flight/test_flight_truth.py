@@ -195,9 +195,9 @@ def test_a_script_of_jsbsim_flies():
 
 def test_the_aircraft_is_kept_for_the_log():
     files = open_flight(airborne({"do": "straight"})).attachments()
-    assert {"trainer/trainer.xml", "trainer/autopilot.xml"} <= set(files)
+    assert {"aircraft/trainer/trainer.xml", "aircraft/trainer/autopilot.xml"} <= set(files)
     assert any("Engines" in name for name in files)
-    assert b"<fdm_config" in files["trainer/trainer.xml"]
+    assert b"<fdm_config" in files["aircraft/trainer/trainer.xml"]
 
 
 def test_setpoints_say_what_the_pilot_wants():

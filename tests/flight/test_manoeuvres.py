@@ -196,8 +196,9 @@ def test_roll_goes_round(through):
 def test_approach_and_landing_from_elsewhere(heading, wind_from, away):
     start = {**AIR, "heading_deg": heading, "height_m": 80.0}
     wind = {"speed_mps": 4.0, "from_deg": wind_from, "turbulence": "light"}
-    tables = ({"do": "straight", "heading_deg": away, "for_s": 15.0}, {"do": "approach"}, {"do": "land"}, {"do": "wait", "for_s": 1.0})
-    flown = fly(*tables, start=start, wind=wind, seed=2)
+    outbound = {"do": "straight", "heading_deg": away, "for_s": 15.0}
+    last = {"do": "wait", "for_s": 1.0}
+    flown = fly(outbound, {"do": "approach"}, {"do": "land"}, last, start=start, wind=wind, seed=2)
     truth = flown.truth
     touch = np.flatnonzero(truth.on_ground)[0]
     north, east = offset(truth)[[touch, -1]].T

@@ -1,0 +1,48 @@
+"""The shipped scenarios fly."""
+
+import numpy as np
+import pytest
+from flight_helpers import Flown
+
+from ahrs_sim import scenario
+from ahrs_sim.data import scenario_dir
+from ahrs_sim.flight import open_flight
+
+NAMES = sorted(path.stem for path in scenario_dir().glob("*.toml"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_scenario_opens_and_begins(name):
+    flight = open_flight(scenario.load(name))
+    assert flight.expected_duration is not None
+    assert len(flight.process(100)) == 100
+    assert flight.error is None
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("name", NAMES)
+def test_every_scenario_completes(name, seed):
+    flown = Flown(scenario.load(name, seed=seed))
+    assert flown.error is None
+    assert np.isfinite(flown.truth.accel_b).all()
+    assert flown.truth.t[-1] == pytest.approx(flown.flight.expected_duration, rel=0.2)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(8))
+def test_it_lands_from_anywhere(seed):
+    random = np.random.default_rng(seed)
+    heading = random.uniform(-180.0, 180.0)
+    start = {"on_ground": False, "height_m": random.uniform(50.0, 150.0), "heading_deg": heading}
+    wind = {"speed_mps": random.uniform(0.0, 6.0), "from_deg": heading + random.uniform(-60.0, 60.0)}
+    wind["turbulence"] = ["none", "light", "moderate"][seed % 3]
+    steps = [
+        {"do": "straight", "heading_deg": random.uniform(0.0, 360.0), "for_s": random.uniform(5.0, 60.0)},
+        {"do": "approach"},
+        {"do": "land"},
+    ]
+    flown = Flown(scenario.parse({"seed": seed, "start": start, "wind": wind, "step": steps}, "test.toml", "test"))
+    assert flown.error is None
+    assert np.abs((flown.truth.lla[-1] - flown.truth.lla[0])[:2] * 6.37e6).max() < 3000.0
+    assert flown.truth.on_ground[-1]
