@@ -1,7 +1,7 @@
 """Where an emitter is: the Gaussian sum on the emitter model, look by look (paper 003, section 3.2.4).
 
-    locator = EmitterLocator(coarse_bearing=math.radians(50.0), every=9)
-    fixes = locator.process(looks)
+locator = EmitterLocator(coarse_bearing=math.radians(50.0), every=9)
+fixes = locator.process(looks)
 """
 
 import math
@@ -192,7 +192,7 @@ class EmitterLocator:
         }  # fmt: skip
         self._limits = _Limits(float(merge_below), float(prune_below), float(phase_limit))
         self._method = Ekf() if method is None else method
-        self._work = Work.make(self.model.layout, 2, 2)
+        self._work = Work.make(self.model, 2)
         self.reset()
 
     def reset(self) -> None:
@@ -218,14 +218,15 @@ class EmitterLocator:
         u = np.ascontiguousarray(np.column_stack([looks.position, looks.velocity, looks.heading, looks.heading_rate]))
         z = np.ascontiguousarray(np.column_stack([looks.phase, looks.phase_rate]))
         out = _Out(fixes.status, fixes.position, fixes.covariance, fixes.terms, fixes.weight, fixes.output)
-        done = 0
+        done, begun = 0, len(looks)
         if self.bank is None and not self._lost:
-            done = self._begin(looks.t, u, z)
+            begun = done = self._begin(looks.t, u, z)
         if self.bank is not None:
             t = np.ascontiguousarray(looks.t, float)
             done = _run(self._method, self.model, self.bank, self._track, self._work, self._limits, t, u, z, out, done)
             if done < len(looks):
                 self.bank, self._lost = None, True
+        fixes.status[begun : begun + 1] = _RUNNING  # the look that made the terms
         if self._lost:
             fixes.status[done:] = _DIVERGED
             for lost in (fixes.position, fixes.covariance, fixes.weight, fixes.output):

@@ -14,7 +14,7 @@ import numpy as np
 from estimators.filters.base import Work, predict, project
 from estimators.jit import njit
 from estimators.linalg import condition, healthy, leading_cholesky
-from estimators.models.base import ROWS, START, constrain, measurement_noise, residual, retract
+from estimators.models.base import ROWS, START, constrain, measurement_noise, residual, retract, size
 
 
 class Bank(NamedTuple):
@@ -44,8 +44,8 @@ def _update(
 ) -> float:
     """Condition one term on a row of measurements; returns its log likelihood, eq. (27), -inf when the term is lost."""
     likelihood = 0.0
-    for g in range(model.layout.groups.shape[0]):
-        start, rows = model.layout.groups[g, START], model.layout.groups[g, ROWS]
+    for g in range(model.groups.shape[0]):
+        start, rows = model.groups[g, START], model.groups[g, ROWS]
         any_used = False
         for i in range(rows):
             work.used[i] = used[start + i]
@@ -57,7 +57,7 @@ def _update(
             return -math.inf
         measurement_noise(model, g, x, u, work.S)
         residual(model, g, work.measured, work.y, work.residual)
-        if not condition(work.S, work.C, P, rows, work.residual, work.used, work.variance, work.dx):
+        if not condition(size(model), rows, work.S, work.C, P, work.residual, work.used, work.variance, work.dx):
             return -math.inf
         for i in range(rows):
             if work.used[i]:  # independent innovations: their densities multiply
@@ -135,7 +135,7 @@ def distance2(bank: Bank, i: int, j: int, both: np.ndarray, L: np.ndarray, apart
     for a in range(n):
         for b in range(n):
             both[a, b] = bank.P[i, a, b] + bank.P[j, a, b]
-    if not leading_cholesky(both, n, L):
+    if not leading_cholesky(n, both, n, L):
         return math.inf
     for a in range(n):
         apart[a] = bank.x[i, a] - bank.x[j, a]

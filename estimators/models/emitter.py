@@ -8,9 +8,9 @@ the range R gives, with `k = 2 pi f d / c` and the direction alpha of the baseli
     bearing rate theta' = (v_x sin(theta) - v_y cos(theta)) / R                                           eq. (6)
     range        R = (v_x sin(theta) - v_y cos(theta)) / (alpha' - phi' / (k sin(theta - alpha)))         eq. (7)
 
-State: the emitter's position (x, y), m. All angles are counted from x towards y: with (x, y) = (north, east) alpha is the
-heading and theta the bearing of navigation, with (x, y) = (east, north) they are those of the paper. Inputs u of a look:
-own position (2), own velocity (2), alpha, alpha'. SI and radians.
+State: the emitter's position (x, y), m. All angles are counted from x towards y: with (x, y) = (north, east) alpha is
+the heading and theta the bearing of navigation, with (x, y) = (east, north) they are those of the paper. Inputs u of a
+look: own position (2), own velocity (2), alpha, alpha'. SI and radians.
 
 The own position, velocity and heading are measured too. The paper names their errors but not where they enter the
 filter; here they add to the measurement noise, to first order (`look_noise`), as if independent from look to look.
@@ -24,7 +24,6 @@ import numpy as np
 from estimators.errors import SettingError
 from estimators.generic import register
 from estimators.jit import njit
-from estimators.models.base import Layout
 
 LIGHT = 299_792_458.0
 """Speed of light, m/s."""
@@ -36,7 +35,7 @@ PHASE, RATE = 0, 1
 class Emitter(NamedTuple):
     """Parameters: geometry and errors, one sigma each."""
 
-    layout: Layout
+    groups: np.ndarray  # (1, 5) int64
     k: float  # rad of phase per unit of cos(theta - alpha)
     phase: float  # rad
     phase_rate: float  # rad/s
@@ -85,7 +84,7 @@ class Emitter(NamedTuple):
             if not (value >= 0.0 and math.isfinite(value)):
                 raise SettingError(f"emitter: {name} = {value} must not be negative")
         return cls(
-            layout=Layout(changed=0, read=0, groups=np.array([[0, 2, 0, 2, 0]])),
+            groups=np.array([[0, 2, 0, 2, 0]], np.int64),
             k=2.0 * math.pi * frequency * baseline / LIGHT,
             phase=float(phase_sigma),
             phase_rate=float(phase_rate_sigma),
@@ -231,8 +230,16 @@ def look_noise(model: Any, x: np.ndarray, u: np.ndarray, S: np.ndarray) -> None:
     )
 
 
+def _size(model: Any) -> int:
+    return 2
+
+
+def _none(model: Any) -> int:
+    return 0  # the emitter stands still
+
+
 def _propagate(model: Any, x: np.ndarray, u: np.ndarray, dt: float, out: np.ndarray) -> None:
-    out[0], out[1] = x[0], x[1]  # the emitter stands still
+    out[0], out[1] = x[0], x[1]
 
 
 def _transition(model: Any, x: np.ndarray, u: np.ndarray, dt: float, F: np.ndarray) -> None:
@@ -263,6 +270,9 @@ def _residual(model: Any, group: int, z: np.ndarray, y: np.ndarray, out: np.ndar
 
 register(
     Emitter,
+    size=_size,
+    changed=_none,
+    read=_none,
     propagate=_propagate,
     transition=_transition,
     process_noise=_process_noise,

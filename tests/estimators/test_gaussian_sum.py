@@ -58,7 +58,7 @@ def textbook(x, P, u, z):
 
 
 def test_one_term_is_a_single_ekf():
-    bank, work = bank_of(1), Work.make(MODEL.layout, 2, 2)
+    bank, work = bank_of(1), Work.make(MODEL, 2)
     x, P = bank.x[0].copy(), bank.P[0].copy()
     for k in range(1, 30):
         assert step(Ekf(), MODEL, bank, work, inputs(k), measured(k), USED, 0.5)
@@ -69,7 +69,7 @@ def test_one_term_is_a_single_ekf():
 
 
 def test_weights_follow_the_likelihood_and_sum_to_one():
-    bank, work = bank_of(5), Work.make(MODEL.layout, 2, 2)
+    bank, work = bank_of(5), Work.make(MODEL, 2)
     expected = bank.log_weight.copy()
     terms = [(x.copy(), P.copy()) for x, P in zip(bank.x, bank.P, strict=True)]
     for i, (x, P) in enumerate(terms):
@@ -85,7 +85,7 @@ def test_weights_follow_the_likelihood_and_sum_to_one():
 
 @pytest.mark.long  # compiles the bank for another filter
 def test_any_filter_serves():
-    bank, work = bank_of(3), Work.make(MODEL.layout, 2, 2)
+    bank, work = bank_of(3), Work.make(MODEL, 2)
     for k in range(1, 10):
         assert step(Ckf(), MODEL, bank, work, inputs(k), measured(k), USED, 0.5)
     assert np.linalg.eigvalsh(bank.P).min() > 0
@@ -102,7 +102,7 @@ def test_a_lost_bank_says_so():
     bank = bank_of(3)
     bank.log_weight[:] = -math.inf
     assert not normalise_weights(bank)
-    bank, work = bank_of(3), Work.make(MODEL.layout, 2, 2)
+    bank, work = bank_of(3), Work.make(MODEL, 2)
     bank.P[1] = -np.eye(2) * 1e9
     assert step(Ekf(), MODEL, bank, work, inputs(1), measured(1), USED, 0.5)  # one term is lost, not the bank
     assert bank.log_weight[1] == -math.inf and np.exp(bank.log_weight).sum() == pytest.approx(1.0)
