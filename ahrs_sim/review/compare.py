@@ -53,15 +53,18 @@ def compare(
     Raises:
         InputError: no log, no truth or estimator in it, or an unknown reference.
     """
-    log = FlightReader(path)
-    names = log.estimators
+    with FlightReader(path) as log:
+        return _compare(log, reference, -math.inf if start is None else start, math.inf if end is None else end)
+
+
+def _compare(log: FlightReader, reference: str | None, low: float, high: float) -> dict[str, Any]:
+    path, names = log.path, log.estimators
     if not names:
         raise InputError(f"{path}: no estimates in it (no topic /est/NAME/state); replay it with an estimator first")
     if reference is not None and reference not in names:
         raise InputError(f"{path}: --reference {reference}: no such estimator in this log{nearest(reference, names)}")
     truth = _truth(log)
     against = _attitude(log, f"/est/{reference}/state") if reference else (truth.t, truth.q_nb)
-    low, high = (-math.inf if start is None else start), (math.inf if end is None else end)
     if max(low, truth.t[0]) >= min(high, truth.t[-1]):
         raise InputError(f"{path}: --from/--to: the log spans {truth.t[0]:.1f} to {truth.t[-1]:.1f} s")
     estimators = {}
