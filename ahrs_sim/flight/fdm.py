@@ -4,6 +4,7 @@ JSBSim answers 0.0 for a property that does not exist and creates one that is se
 reproducible from a fresh instance; this module makes each of those an error or impossible.
 """
 
+import os
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -63,6 +64,7 @@ class Fdm:
             loaded = False
         if not loaded:
             raise InputError(f"{where}: aircraft: JSBSim cannot load '{name}': {self.log.text or 'no reason given'}")
+        self._mute()
         self._collect(folder[name], f"{name}.xml")
 
     def load_script(self, name: str, where: str) -> float | None:
@@ -82,6 +84,7 @@ class Fdm:
         if not loaded:
             raise InputError(f"{where}: script: JSBSim cannot load '{name}': {self.log.text or 'no reason given'}")
         self.exec.set_dt(self.dt)
+        self._mute()
         self.sources.append(known[name])
         model = self.exec.get_model_name()
         self._collect(library_dir() / "aircraft" / model, f"{model}.xml")
@@ -147,6 +150,14 @@ class Fdm:
         if not hint.startswith("; did"):  # thousands of properties are no help
             hint = f"; {self.exec.get_model_name()} has {len(known)}, none like it"
         return InputError(f"{where}: property '{name}' does not exist{hint}")
+
+    def _mute(self) -> None:
+        """Some aircraft and scripts write files into whatever folder one happens to be in: send them nowhere."""
+        self.exec.disable_output()
+        number = 0
+        while self.exec.get_output_filename(number):
+            self.exec.set_output_filename(number, os.devnull)
+            number += 1
 
     def _collect(self, folder: Path, name: str) -> None:
         """Note `folder/name` and the files it refers to, where they are found."""

@@ -221,7 +221,7 @@ class JsbsimFlight:
             fdm["ic/phi-rad"] = start.roll
             fdm["ic/theta-rad"] = start.pitch
         fdm.exec.run_ic()
-        if not start.on_ground and not fdm.has("ap/motor-on"):
+        if not start.on_ground and not fdm.has("ap/motor-on") and fdm.has("propulsion/set-running"):
             fdm["propulsion/set-running"] = -1  # piston and jet engines of the library
 
     def _wind(self, scenario: Scenario) -> None:

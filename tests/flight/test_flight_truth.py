@@ -183,7 +183,8 @@ def test_any_aircraft_of_jsbsim_stands():
     assert "aircraft/c172p/c172p.xml" in flown.flight.attachments()
 
 
-def test_a_script_of_jsbsim_flies():
+def test_a_script_of_jsbsim_flies(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     flown = Flown(make(script="c1723", duration_s=40.0))
     assert flown.error is None
     assert flown.truth.t[-1] == pytest.approx(40.0)
@@ -191,6 +192,7 @@ def test_a_script_of_jsbsim_flies():
     assert attitude_residual_deg(flown.truth).max() < 0.005
     assert {"scripts/c1723.xml", "aircraft/c172x/c172x.xml"} <= set(flown.flight.attachments())
     assert (flown.setpoints.step == -1).all()
+    assert list(tmp_path.iterdir()) == []  # the script asks JSBSim to write files; nobody else did
 
 
 def test_the_aircraft_is_kept_for_the_log():
