@@ -71,6 +71,11 @@ KINDS = (*SHAPING, *SENDING, *MESSAGE, *SKY, *FIELD)
 _MU0_4PI = 1e-7  # T m / A
 
 
+def _ns(t: float) -> float:
+    """Whole nanoseconds; infinity stays."""
+    return float(np.rint(t * 1e9))
+
+
 @dataclass
 class Fault:
     """One fault with its state."""
@@ -96,12 +101,15 @@ class Fault:
 
     def hits(self, t: np.ndarray) -> np.ndarray:
         """Mask (n,) of the samples at `t` that are hit."""
-        return (t >= self.at) & (t < self.until)
+        # To the nanosecond, as stamps are: a clock that has added up 1/400 s is off by some 1e-13 s.
+        ns = np.rint(t * 1e9)
+        return np.asarray((ns >= _ns(self.at)) & (ns < _ns(self.until)))
 
     def spike(self, channel: str, t: np.ndarray) -> np.ndarray:
         """Mask (n,) of samples with a spike: the first at or after every multiple of the period."""
         hit = self.hits(t)
-        number = np.where(hit, (t - self.at) // self.every if self.every < math.inf else 0.0, -1.0).astype(int)
+        periods = np.floor((t - self.at) / self.every + 1e-6)  # 0 throughout for a single spike
+        number = np.where(hit, periods, -1.0).astype(int)
         before = np.concatenate([[self.spikes.get(channel, -1)], np.maximum.accumulate(number)[:-1]])
         if len(t):
             self.spikes[channel] = max(self.spikes.get(channel, -1), int(number.max()))
@@ -146,9 +154,9 @@ class Channel:
             if f.kind == "nan":
                 values[hit] = np.nan
             elif len(t):
-                good = ~hit & (t < f.at)
-                if good.any():
-                    f.last[self.name] = values[np.flatnonzero(good)[-1]].copy()
+                before = np.flatnonzero(~hit & (t < f.at))
+                if len(before):
+                    f.last[self.name] = values[before[-1]].copy()
                 values[hit] = f.last.setdefault(self.name, values[0].copy())
 
     def deliver(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -184,13 +192,16 @@ class Faults:
         """Note which faults set in or end within the rows at `t` (n,)."""
         if not self._waiting or not len(t):
             return
+        ns = np.rint(t * 1e9)
         for f in self.faults:
             where = f"{f.kind} of {self.suite}/{f.sensor}"
-            if f.state == "ahead" and t[-1] >= f.at:
-                self._events.append(Event(float(t[np.searchsorted(t, f.at)]), "warning", "fault", f"{where} sets in"))
+            if f.state == "ahead" and ns[-1] >= _ns(f.at):
+                first = float(t[np.searchsorted(ns, _ns(f.at))])
+                self._events.append(Event(first, "warning", "fault", f"{where} sets in"))
                 f.state = "on"
-            if f.state == "on" and t[-1] >= f.until:
-                self._events.append(Event(float(t[np.searchsorted(t, f.until)]), "info", "fault", f"{where} ends"))
+            if f.state == "on" and ns[-1] >= _ns(f.until):
+                first = float(t[np.searchsorted(ns, _ns(f.until))])
+                self._events.append(Event(first, "info", "fault", f"{where} ends"))
                 f.state = "over"
         self._waiting = any(f.state != "over" for f in self.faults)
 

@@ -1,0 +1,62 @@
+"""Six hours on the bench: every grade shows the densities and floors that it states, at any rate."""
+
+import numpy as np
+import pytest
+from sensor_helpers import EPOCH, START, component
+
+from ahrs_sim.review.allan import allan_table
+from ahrs_sim.sensors.faults import Faults
+from ahrs_sim.sensors.fitting import Fitting
+from ahrs_sim.sensors.grade import load
+from ahrs_sim.sensors.magnetometer import MagFigures
+from ahrs_sim.sensors.suite import SECTIONS
+from ahrs_sim.sensors.triad import GyroFigures, InertialFigures, Triad, TriadFigures
+
+HOURS = 6.0
+SENSORS: dict[str, type[TriadFigures]] = {
+    "gyro": GyroFigures,
+    "accelerometer": InertialFigures,
+    "magnetometer": MagFigures,
+}
+
+
+def standing(grade: str, sensor: str, rate: float) -> tuple[TriadFigures, np.ndarray]:
+    """Samples (n, 3) of a sensor that does not move, at constant temperature, in blocks of 10 s."""
+    loaded = load(grade, SECTIONS)
+    fitting = Fitting(
+        suite="bench",
+        grade=loaded,
+        faults=Faults([], "bench"),
+        seed=4,
+        dt=1.0 / rate,
+        epoch=EPOCH,
+        start_lla=START,
+        position=None,
+        mount=np.eye(3),
+        turned=np.eye(3),
+        where=component(grade).where,
+    )
+    figures = loaded.figures(sensor, SENSORS[sensor])
+    triad = Triad(sensor, figures, fitting, 1)
+    truth = {"gyro": [0.0, 0.0, 0.0], "accelerometer": [0.0, 0.0, -9.81], "magnetometer": [2.2e-5, 0.0, 4.2e-5]}
+    size = int(10 * rate)
+    u, t, extra = np.tile(truth[sensor], (size, 1)), np.arange(size) / rate, np.zeros(size)
+    blocks = [triad.process(u, slice(0, size, 1), t, extra)[0] for _ in range(int(HOURS * 360))]
+    return figures, np.vstack(blocks)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("rate", [50.0, 100.0, 400.0])
+@pytest.mark.parametrize("sensor", list(SENSORS))
+@pytest.mark.parametrize("grade", ["chr_6dm", "sbg_ig500", "road_mems"])
+def test_six_hours_give_the_grade_back(grade: str, sensor: str, rate: float) -> None:
+    figures, series = standing(grade, sensor, rate)
+    table = allan_table(series, rate)
+    np.testing.assert_allclose(table.density.value, figures.noise_density, rtol=0.05)
+    if figures.bias_floor.any():
+        np.testing.assert_allclose(table.floor.value, figures.bias_floor, rtol=0.15)
+    # Rate invariance: the whole curve, not only what is fitted to it.
+    model = figures.noise_density**2 / 2.0 / table.tau[:, None] + figures.bias_floor**2
+    seen = (table.tau > 1.0) & (table.tau < 300.0)
+    ratio = (table.deviation[seen] / np.sqrt(model[seen])).mean(axis=1)
+    assert np.abs(ratio - 1.0).max() < 0.12
