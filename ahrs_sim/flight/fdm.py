@@ -154,6 +154,7 @@ class Fdm:
     def _mute(self) -> None:
         """Some aircraft and scripts write files into whatever folder one happens to be in: send them nowhere."""
         self.exec.disable_output()
+        self.exec.set_output_path(os.devnull)  # state files: no file can be opened below it
         number = 0
         while self.exec.get_output_filename(number):
             self.exec.set_output_filename(number, os.devnull)
