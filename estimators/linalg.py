@@ -67,40 +67,33 @@ def condition(
     Returns:
         False when the joint covariance is not positive: the results are then void.
     """
+    for i in range(n):
+        dx[i] = 0.0
     for k in range(rows):
         if not used[k]:
-            for i in range(n):
-                C[k, i] = 0.0
-            residual[k] = 0.0
             continue
         pivot = S[k, k]
         if not pivot > 0.0:
             return False
         variance[k] = pivot
         inverse = 1.0 / pivot
+        r = residual[k]
+        for i in range(n):
+            gain = C[k, i] * inverse
+            dx[i] += gain * r
+            for j in range(i + 1):
+                P[i, j] -= gain * C[k, j]
         for m in range(k + 1, rows):
             if used[m]:
                 gain = S[m, k] * inverse
-                residual[m] -= gain * residual[k]
+                residual[m] -= gain * r
                 for i in range(n):
                     C[m, i] -= gain * C[k, i]
                 for j in range(k + 1, m + 1):
                     S[m, j] -= gain * S[j, k]
-    for k in range(rows):  # from here on in units of the innovation's standard deviation
-        scale = 1.0 / math.sqrt(variance[k]) if used[k] else 0.0
-        S[k, 0] = scale * residual[k]
-        for i in range(n):
-            C[k, i] *= scale
     for i in range(n):
-        shift = 0.0
-        for k in range(rows):
-            shift += C[k, i] * S[k, 0]
-        dx[i] = shift
-        for j in range(i + 1):
-            left = P[i, j]
-            for k in range(rows):
-                left -= C[k, i] * C[k, j]
-            P[i, j] = P[j, i] = left
+        for j in range(i):
+            P[j, i] = P[i, j]
     return True
 
 

@@ -72,30 +72,30 @@ def update(
     answer: np.ndarray,
 ) -> bool:
     """All measurement groups of a row; writes the independent innovations and their variances to the estimates."""
+    S, C, y, measured, error = work.S, work.C, work.y, work.measured, work.residual
+    counts, spread, dx, moved = work.used, work.variance, work.dx, work.x
+    ok = True  # no early return and no access to `work` in the loop: counting references costs more than the equations
     for g in range(model.groups.shape[0]):
         start, rows = model.groups[g, START], model.groups[g, ROWS]
         any_used = False
         for i in range(rows):
-            work.measured[i] = z[start + i]
-            work.used[i] = used[start + i]
+            measured[i] = z[start + i]
+            counts[i] = used[start + i]
             any_used |= used[start + i]
-        if not any_used:
-            continue
-        if not project(method, model, g, x, P, u, work):
-            return False
-        measurement_noise(model, g, x, u, work.S)
-        residual(model, g, work.measured, work.y, work.residual)
-        if not condition(size(model), rows, work.S, work.C, P, work.residual, work.used, work.variance, work.dx):
-            return False
-        for i in range(rows):
-            if work.used[i]:
-                answer[E_INNOVATION + start + i] = work.residual[i]
-                answer[E_VARIANCE + start + i] = work.variance[i]
-        retract(model, x, work.dx, work.x)
-        for i in range(x.shape[0]):
-            x[i] = work.x[i]
+        if any_used and ok:
+            ok = project(method, model, g, x, P, u, work)
+            measurement_noise(model, g, x, u, S)
+            residual(model, g, measured, y, error)
+            ok &= condition(size(model), rows, S, C, P, error, counts, spread, dx)
+            for i in range(rows):
+                if counts[i]:
+                    answer[E_INNOVATION + start + i] = error[i]
+                    answer[E_VARIANCE + start + i] = spread[i]
+            retract(model, x, dx, moved)
+            for i in range(x.shape[0]):
+                x[i] = moved[i]
     constrain(model, x)
-    return True
+    return ok
 
 
 @njit

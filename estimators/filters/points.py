@@ -71,8 +71,7 @@ def predict_points(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.
     n, moved, columns = size(model), changed(model), read(model)
     h, even, square = rule(method, n)
     L, d, s, shift, plus, minus, dx = work.L, work.odd, work.even, work.shift, work.plus, work.minus, work.dx
-    if not leading_cholesky(n, P, columns, L):
-        return False
+    ok = leading_cholesky(n, P, columns, L)  # when it is not, the results are void; an early return costs time
     centre = work.x
     propagate(model, x, u, dt, centre)
     for a in range(moved):
@@ -109,18 +108,26 @@ def predict_points(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.
         for b in range(a):
             P[b, a] = P[a, b]
     process_noise(model, x, u, dt, P)
-    return True
+    return ok
 
 
-def project_points(method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work) -> bool:  # fmt: skip
-    """Measurement moments (paper 000 eq. (7)-(12))."""
+def project_points(
+    method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work
+) -> bool:
+    """Measurement moments (paper 000 eq. (7)-(12)); a linear group needs no points."""
     if model.groups[group, LINEAR] == 1:
-        return project_linear(method, model, group, x, P, u, work)
+        ok = project_linear(method, model, group, x, P, u, work)
+    else:
+        ok = _project_nonlinear(method, model, group, x, P, u, work)
+    return ok
+
+
+@njit(forceinline=True, no_cpython_wrapper=True)
+def _project_nonlinear(method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work) -> bool:  # fmt: skip
     n, rows, columns = size(model), model.groups[group, ROWS], model.groups[group, READ]
     h, even, square = rule(method, n)
     L, d, s, shift, plus, minus, dx = work.L, work.odd, work.even, work.shift, work.plus, work.minus, work.dx
-    if not leading_cholesky(n, P, columns, L):
-        return False
+    ok = leading_cholesky(n, P, columns, L)
     y, C = work.y, work.C
     observe(model, group, x, u, y)
     for a in range(rows):
@@ -152,4 +159,4 @@ def project_points(method: Any, model: Any, group: int, x: np.ndarray, P: np.nda
             for i in range(min(j + 1, columns)):
                 total += L[j, i] * d[i, a]
             C[a, j] = total * (0.5 / h)
-    return True
+    return ok
