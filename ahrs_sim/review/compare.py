@@ -64,7 +64,7 @@ def _compare(log: FlightReader, reference: str | None, low: float, high: float) 
     if reference is not None and reference not in names:
         raise InputError(f"{path}: --reference {reference}: no such estimator in this log{nearest(reference, names)}")
     truth = _truth(log)
-    against = _attitude(log, f"/est/{reference}/state") if reference else (truth.t, truth.q_nb)
+    against = attitude(log, f"/est/{reference}/state") if reference else (truth.t, truth.q_nb)
     if max(low, truth.t[0]) >= min(high, truth.t[-1]):
         raise InputError(f"{path}: --from/--to: the log spans {truth.t[0]:.1f} to {truth.t[-1]:.1f} s")
     estimators = {}
@@ -111,10 +111,10 @@ def _truth(log: FlightReader) -> _Truth:
     if rows < 2:
         raise InputError(f"{log.path}: {TRUTH_TOPIC} is empty: there is nothing to compare with")
     t, q_nb = t[:rows], q_nb[:rows]
-    return _Truth(t, q_nb, _phases(t, q_nb, np.linalg.norm(vel_n[:rows], axis=1), on_ground[:rows]))
+    return _Truth(t, q_nb, phases(t, q_nb, np.linalg.norm(vel_n[:rows], axis=1), on_ground[:rows]))
 
 
-def _phases(t: np.ndarray, q_nb: np.ndarray, speed: np.ndarray, on_ground: np.ndarray) -> np.ndarray:
+def phases(t: np.ndarray, q_nb: np.ndarray, speed: np.ndarray, on_ground: np.ndarray) -> np.ndarray:
     """Index into PHASES (n,)."""
     half = max(1, round(1.0 / float(np.median(np.diff(t)))))
     later, earlier = np.minimum(np.arange(len(t)) + half, len(t) - 1), np.maximum(np.arange(len(t)) - half, 0)
@@ -132,7 +132,7 @@ def _phases(t: np.ndarray, q_nb: np.ndarray, speed: np.ndarray, on_ground: np.nd
     return phase
 
 
-def _attitude(log: FlightReader, topic: str) -> tuple[np.ndarray, np.ndarray]:
+def attitude(log: FlightReader, topic: str) -> tuple[np.ndarray, np.ndarray]:
     """Times (n,) and attitude (n, 4) of an estimator, where it has one."""
     blocks = [(_seconds(log, b), quaternion(b["orientation"])) for b in log.blocks(topic)]
     t, q_nb = (np.concatenate(column) for column in zip(*blocks, strict=True)) if blocks else (np.empty(0),) * 2
