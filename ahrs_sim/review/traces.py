@@ -1,0 +1,344 @@
+"""Everything a report draws of one flight, gathered from its log in one pass and in little memory.
+
+Errors are kept at the rate of the estimates; what changes slowly is kept ten times a second (`COARSE`), innovations are
+summed up by the second.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ahrs_sim.errors import InputError, nearest
+from ahrs_sim.flight.truth import Event
+from ahrs_sim.log.reader import quaternion, stamps, vector
+from ahrs_sim.log.record import FlightReader
+from ahrs_sim.review import compare, consistency, metrics
+from ahrs_sim.world import wgs84
+from estimators.types import Status
+
+COARSE = 10.0
+"""Hz of everything but attitudes and their errors."""
+
+WINDOW_S = 10.0
+"""Length of an estimator's worst window."""
+
+LOST_DEG = 5.0
+"""Error that counts as wrong where it also exceeds three sigma ..."""
+
+LOST_S = 2.0
+"""... for so long without a break."""
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The ten seconds in which an estimator erred most."""
+
+    start: float  # s
+    end: float
+    rms: float  # rad, of the whole rotation (of the tilt where there is no heading)
+    axis: str  # of roll, pitch, heading: the one that erred most
+    axis_rms: float  # rad
+    sigma: float  # rad, mean of what the estimator thought of that axis; NaN: it says nothing
+    phase: str
+
+
+@dataclass(frozen=True)
+class EstimatorTrace:
+    """What one estimator said, against the reference."""
+
+    name: str
+    suite: str
+    t: np.ndarray  # (n,) s
+    error: np.ndarray  # (n, 5) rad, order of metrics.MEASURES
+    coarse_t: np.ndarray  # (m,) s, at COARSE or slower
+    sigma: np.ndarray  # (m, 3) rad, of roll, pitch, heading
+    nees: np.ndarray  # (m,) of the attitude, 3 degrees of freedom
+    inside: np.ndarray  # (m,) 1 where every Euler error is inside of three sigma, 0 where not, NaN
+    gyro_bias: np.ndarray  # (m, 3) rad/s
+    gyro_bias_sigma: np.ndarray
+    accel_bias: np.ndarray  # (m, 3) m/s2
+    accel_bias_sigma: np.ndarray
+    adaptation: np.ndarray  # (m, 4)
+    status: np.ndarray  # (m,) `estimators.types.Status`
+    position: np.ndarray  # (m, 3) m NED from the start; NaN where the method has none
+    nis: np.ndarray  # (s,) sum over second k, from 0
+    nis_freedom: np.ndarray  # (s,) degrees of freedom in that sum
+    innovation_low: np.ndarray  # (s, 12) extremes over the second of innovation / sigma
+    innovation_high: np.ndarray
+
+    def worst(self, flight: "FlightTraces") -> Worst | None:
+        """The ten seconds with the largest root mean square error; None when there are not as many."""
+        total = self.error[:, 4] if np.isfinite(self.error[:, 4]).any() else self.error[:, 3]
+        known = np.isfinite(total)
+        t, squares = self.t[known], np.cumsum(np.r_[0.0, total[known].astype(float) ** 2])
+        if len(t) < 10 or t[-1] - t[0] < WINDOW_S:
+            return None
+        last = np.searchsorted(t, t + WINDOW_S, "right")
+        first = np.arange(len(t))
+        full = t <= t[-1] - WINDOW_S + 1e-6
+        mean = np.where(full, (squares[last] - squares[first]) / np.maximum(last - first, 1), -1.0)
+        best = int(np.argmax(mean))
+        start, end = float(t[best]), float(t[best]) + WINDOW_S
+        rows = (self.t >= start) & (self.t <= end)
+        angles = np.sqrt(np.nanmean(np.nan_to_num(self.error[rows, :3].astype(float)) ** 2, axis=0))
+        axis = int(np.argmax(angles))
+        sigma = self.sigma[(self.coarse_t >= start) & (self.coarse_t <= end), axis]
+        sigma = sigma[np.isfinite(sigma)]
+        return Worst(
+            start,
+            end,
+            math.sqrt(max(0.0, float(mean[best]))),
+            metrics.MEASURES[axis],
+            float(angles[axis]),
+            float(sigma.mean()) if len(sigma) else math.nan,
+            flight.phase_at(0.5 * (start + end)),
+        )
+
+    def lost(self) -> float | None:
+        """When the error first exceeded `LOST_DEG` and three sigma for `LOST_S`, s; None: never."""
+        error = np.abs(self.error[np.clip(np.searchsorted(self.t, self.coarse_t), 0, len(self.t) - 1), :3])
+        limit = np.fmax(math.radians(LOST_DEG), 3 * self.sigma)
+        with np.errstate(invalid="ignore"):
+            wrong = (error > limit).any(axis=1)
+        right_at = np.maximum.accumulate(np.where(wrong, -np.inf, self.coarse_t))
+        long = wrong & (self.coarse_t - right_at >= LOST_S) & np.isfinite(right_at)
+        return float(right_at[np.argmax(long)]) if long.any() else None
+
+
+@dataclass(frozen=True)
+class SuiteTrace:
+    """True biases and satellites of one sensor suite."""
+
+    t: np.ndarray  # (m,) s, of the biases, at COARSE or slower
+    gyro_bias: np.ndarray  # (m, 3) rad/s
+    accel_bias: np.ndarray  # (m, 3) m/s2
+    satellites_t: np.ndarray  # (k,)
+    satellites: np.ndarray  # (k,)
+    fix: np.ndarray  # (k, 2) m north and east from the start
+
+
+@dataclass(frozen=True)
+class FlightTraces:
+    """One flight."""
+
+    path: Path
+    label: str
+    reference: str  # truth, or the estimator taken for it
+    t: np.ndarray  # (n,) s
+    q_nb: np.ndarray  # (n, 4) reference attitude
+    truth_t: np.ndarray  # (k,) s
+    position: np.ndarray  # (k, 3) m NED from where the flight began
+    speed: np.ndarray  # (k,) m/s, true airspeed
+    phase: np.ndarray  # (k,) index into compare.PHASES
+    estimators: dict[str, EstimatorTrace]
+    suites: dict[str, SuiteTrace]
+    events: list[Event]
+    metadata: dict[str, dict[str, str]]
+    attachments: dict[str, str] = field(default_factory=dict)  # text by name
+
+    def phase_at(self, t: float) -> str:
+        """Name of the phase at a time (s)."""
+        return compare.PHASES[self.phase[np.clip(np.searchsorted(self.truth_t, t), 0, len(self.phase) - 1)]]
+
+    def step_at(self, t: float) -> str:
+        """What the pilot was doing at a time (s), as the last event says; empty when none does."""
+        begun = [e.text for e in self.events if e.name == "pilot" and e.t <= t and e.text.endswith(" begins")]
+        return begun[-1].removesuffix(" begins") if begun else ""
+
+
+def gather(
+    path: Path, *, reference: str | None = None, start: float | None = None, end: float | None = None
+) -> FlightTraces:
+    """Read what a report needs.
+
+    Args:
+        path: a log with the truth and estimates.
+        reference: an estimator of the log to compare with instead of the truth.
+        start, end: only this span, s of flight.
+
+    Raises:
+        InputError: no log, nothing to compare in it, or an unknown reference.
+    """
+    with FlightReader(path) as log:
+        if not log.estimators:
+            raise InputError(
+                f"{path}: no estimates in it (no topic /est/NAME/state); replay it with an estimator first"
+            )
+        if reference is not None and reference not in log.estimators:
+            raise InputError(f"{path}: --reference {reference}: no such estimator{nearest(reference, log.estimators)}")
+        truth = log.truth()
+        if len(truth) < 2:
+            raise InputError(f"{path}: {compare.TRUTH_TOPIC} is empty: there is nothing to compare with")
+        low = max(truth.t[0], -math.inf if start is None else start)
+        high = min(truth.t[-1], math.inf if end is None else end)
+        if low >= high:
+            raise InputError(f"{path}: --from/--to: the log spans {truth.t[0]:.1f} to {truth.t[-1]:.1f} s")
+        phase = compare.phases(truth.t, truth.q_nb, np.linalg.norm(truth.vel_n, axis=1), truth.on_ground)
+        origin = truth.lla[0]
+        t, q_nb = compare.attitude(log, f"/est/{reference}/state") if reference else (truth.t, truth.q_nb)
+        kept, shown = (t >= low) & (t <= high), (truth.t >= low) & (truth.t <= high)
+        texts = {n: log.attachment(n).decode(errors="replace") for n in log.attachments if n.endswith(".toml")}
+        return FlightTraces(
+            path=path,
+            label=path.stem,
+            reference=reference or "truth",
+            t=t[kept],
+            q_nb=q_nb[kept],
+            truth_t=truth.t[shown],
+            position=wgs84.offset_n(truth.lla[shown], origin),
+            speed=truth.airspeed[shown],
+            phase=phase[shown],
+            estimators=_estimators(log, t, q_nb, origin, low, high),
+            suites={suite: _suite(log, suite, names, origin, low, high) for suite, names in log.suites.items()},
+            events=[e for e in log.events() if low <= e.t <= high] if "/events" in log.topics else [],
+            metadata=log.metadata,
+            attachments=texts,
+        )
+
+
+class _Gathering:
+    """The columns of one estimator while they come in."""
+
+    def __init__(self, t: np.ndarray, q_nb: np.ndarray, origin: np.ndarray) -> None:
+        self.t, self.q_nb, self.origin = t, q_nb, origin
+        self.columns: dict[str, list[np.ndarray]] = {}
+        self.cell = -(2**62)
+
+    def add(self, at: np.ndarray, messages: np.ndarray) -> None:
+        reference = metrics.interpolate(self.t, self.q_nb, at)
+        q_nb, down = quaternion(messages["orientation"]), vector(messages["down"])
+        self._put("t", at)
+        self._put("error", metrics.attitude_errors(q_nb, down, reference).astype(np.float32))
+        innovation, variance = messages["innovation"], messages["innovation_variance"]
+        squares, freedom = consistency.nis(innovation, variance)
+        self._put("nis", squares.astype(np.float32))
+        self._put("freedom", freedom.astype(np.float32))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            self._put("ratio", innovation / np.sqrt(variance))
+
+        cell = np.floor(at * COARSE + 1e-6).astype(np.int64)
+        rows = np.flatnonzero(np.diff(cell, prepend=self.cell))
+        self.cell = int(cell[-1])
+        some, q_nb, reference = messages[rows], q_nb[rows], reference[rows]
+        cov = some["attitude_covariance"].reshape(-1, 3, 3).astype(float)
+        lla = some["lla"]
+        position = np.full(lla.shape, np.nan)
+        located = np.isfinite(lla).all(axis=1)
+        position[located] = wgs84.offset_n(lla[located], self.origin)
+        sigma = consistency.euler_sigma(q_nb, cov)
+        error = metrics.wrap(metrics.euler(q_nb) - metrics.euler(reference))
+        inside = np.where(np.isfinite(error + sigma), np.abs(error) <= 3 * sigma, np.nan).min(axis=1)
+        for name, values in {
+            "coarse_t": at[rows],
+            "sigma": sigma,
+            "nees": consistency.attitude_nees(q_nb, cov, reference),
+            "inside": inside,
+            "gyro_bias": vector(some["gyro_bias"]),
+            "gyro_bias_sigma": some["gyro_bias_sigma"],
+            "accel_bias": vector(some["accel_bias"]),
+            "accel_bias_sigma": some["accel_bias_sigma"],
+            "adaptation": some["adaptation"],
+            "status": some["status"],
+            "position": position,
+        }.items():
+            self._put(name, values)
+
+    def _put(self, name: str, values: np.ndarray) -> None:
+        self.columns.setdefault(name, []).append(values)
+
+    def trace(self, name: str, suite: str) -> EstimatorTrace:
+        c = {key: np.concatenate(parts) for key, parts in self.columns.items()}
+        second = np.maximum(np.floor(c["t"] + 1e-6), 0).astype(int)
+        count = int(second.max()) + 1
+        starts = np.flatnonzero(np.diff(second, prepend=-1))
+        low, high = (np.full((count, c["ratio"].shape[1]), np.nan) for _ in range(2))
+        ratio = c.pop("ratio").astype(float)
+        low[second[starts]] = np.fmin.reduceat(ratio, starts)
+        high[second[starts]] = np.fmax.reduceat(ratio, starts)
+        return EstimatorTrace(
+            name=name,
+            suite=suite,
+            nis=np.bincount(second, c.pop("nis"), count),
+            nis_freedom=np.bincount(second, c.pop("freedom"), count),
+            innovation_low=low,
+            innovation_high=high,
+            **c,
+        )
+
+
+def _estimators(
+    log: FlightReader, t: np.ndarray, q_nb: np.ndarray, origin: np.ndarray, low: float, high: float
+) -> dict[str, EstimatorTrace]:
+    topics = {f"/est/{name}/state": name for name in log.estimators}
+    gathering = {name: _Gathering(t, q_nb, origin) for name in topics.values()}
+    for block in log.blocks(list(topics)):
+        for topic, messages in block.items():
+            at = log.seconds(stamps(messages))
+            within = (at >= low - 1e-3) & (at <= high + 1e-3)
+            if within.any():
+                gathering[topics[topic]].add(at[within], messages[within])
+    suite = {name: log.metadata.get(f"estimator {name}", {}).get("suite", "") for name in gathering}
+    return {name: g.trace(name, suite[name]) for name, g in gathering.items() if g.columns}
+
+
+def _thinned(log: FlightReader, topic: str, low: float, high: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Times and messages of a topic at COARSE or slower."""
+    last = -(2**62)
+    for messages in log.blocks(topic):
+        at = log.seconds(stamps(messages))
+        cell = np.floor(at * COARSE + 1e-6).astype(np.int64)
+        rows = np.flatnonzero((np.diff(cell, prepend=last) != 0) & (at >= low) & (at <= high))
+        last = int(cell[-1]) if len(cell) else last
+        yield at[rows], messages[rows]
+
+
+def _suite(
+    log: FlightReader, suite: str, instruments: list[str], origin: np.ndarray, low: float, high: float
+) -> SuiteTrace:
+    t, gyro, accel = [np.empty(0)], [np.empty((0, 3))], [np.empty((0, 3))]
+    if "imu_errors" in instruments:
+        for at, messages in _thinned(log, f"/{suite}/imu/errors", low, high):
+            t.append(at)
+            gyro.append(vector(messages["gyro_bias"]))
+            accel.append(vector(messages["accel_bias"]))
+    fix_t, satellites, position = np.empty(0), np.empty(0), np.empty((0, 2))
+    if f"/{suite}/gps/status" in log.topics:
+        status = log.read(f"/{suite}/gps/status")
+        fix_t, satellites = log.seconds(stamps(status)), status["satellites"].astype(float)
+    if "fix" in instruments:
+        fix = log.read(f"/{suite}/gps/fix")
+        lla = np.column_stack([np.radians(fix["latitude"]), np.radians(fix["longitude"]), fix["altitude"]])
+        position = wgs84.offset_n(lla[np.isfinite(lla).all(axis=1)], origin)[:, :2]
+    return SuiteTrace(np.concatenate(t), np.concatenate(gyro), np.concatenate(accel), fix_t, satellites, position)
+
+
+def finding(flight: FlightTraces, trace: EstimatorTrace) -> str:
+    """One or two sentences: how wrong an estimator was at its worst, when, and what may be behind it."""
+    worst = trace.worst(flight)
+    if worst is None:
+        return "no attitude for ten seconds on end"
+    parts = [
+        f"worst from {worst.start:.0f} to {worst.end:.0f} s ({worst.phase}): {worst.axis} "
+        f"{math.degrees(worst.axis_rms):.2g} deg wrong"
+    ]
+    if math.isfinite(worst.sigma):
+        ratio = worst.axis_rms / worst.sigma if worst.sigma > 0 else math.inf
+        word = "overconfident" if ratio > 3 else "as it said" if ratio > 0.3 else "better than it said"
+        parts.append(f" while its sigma was {math.degrees(worst.sigma):.2g} deg: {word}")
+    lost = trace.lost()
+    if lost is not None:
+        step = flight.step_at(lost)
+        parts.append(
+            f"; first beyond {LOST_DEG:g} deg and three sigma at {lost:.0f} s" + (f", in {step}" if step else "")
+        )
+    rows = (trace.coarse_t >= worst.start) & (trace.coarse_t <= worst.end)
+    coasting = np.mean(np.isin(trace.status[rows], [Status.COASTING, Status.DIVERGED])) if rows.any() else 0.0
+    if coasting > 0.1:
+        parts.append(f"; {100 * coasting:.0f} % of that time without a usable measurement")
+    before = [e for e in flight.events if worst.start - 20 <= e.t <= worst.end and e.name != "pilot"]
+    if before:
+        parts.append(f"; shortly before: {before[-1].text} ({before[-1].t:.0f} s)")
+    return "".join(parts)
