@@ -6,6 +6,7 @@ Each stage has `process(block) -> block` and keeps its own state. When an estima
 IMU sample long, else seconds; nothing else differs, and the log's bytes do not depend on it.
 """
 
+import dataclasses
 import platform
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from ahrs_sim.log.record import FlightLog
 from ahrs_sim.scenario import Component, Scenario
 from ahrs_sim.sensors import Assembler, Suite, make_suite
 from ahrs_sim.world import gravity, magnetic
-from estimators.types import Columns, Estimates, Site
+from estimators.types import Columns, Estimates, SensorInfo, Site
 
 BLOCK_S = 2.0
 """Length of a block when no estimator flies the aircraft, and of what the log is given at once."""
@@ -61,7 +62,8 @@ def fly(
         FlightError: the flight did not reach its end; the log is complete up to there.
     """
     flight = open_flight(scenario)
-    chains = _chains(scenario, flight)
+    site = _site(scenario)
+    chains = _chains(scenario, site, flight)
     closed_loop = scenario.pilot_attitude != "truth"
     rows = _rows_per_sample(scenario, chains) if closed_loop else max(1, round(block_s * scenario.rate))
     attachments = {"scenario.toml": scenario.toml().encode(), **flight.attachments()}
@@ -72,7 +74,7 @@ def fly(
         suites={c.suite.name: c.suite.instruments for c in chains},
         estimators=[name for c in chains for name in c.estimators],
         attachments=attachments,
-        metadata=_metadata(scenario, chains),
+        metadata=_metadata(scenario, site, chains),
         force=force,
     ) as log:
         record = _Recorder(log)
@@ -132,14 +134,17 @@ class _Recorder:
         self.event_list = []
 
 
-def _chains(scenario: Scenario, flight: Flight) -> list[Chain]:
+def _site(scenario: Scenario) -> Site:
     start = scenario.start
-    lla = np.array([start.latitude, start.longitude, start.altitude])
-    site = Site(
+    lla = np.array([[start.latitude, start.longitude, start.altitude]])
+    return Site(
         lla=(start.latitude, start.longitude, start.altitude),
-        gravity=float(gravity.normal_gravity(lla[None])[0]),
-        mag_n=tuple(magnetic.field_n(lla[None], scenario.epoch)[0]),
+        gravity=float(gravity.normal_gravity(lla)[0]),
+        mag_n=tuple(magnetic.field_n(lla, scenario.epoch)[0]),
     )
+
+
+def _chains(scenario: Scenario, site: Site, flight: Flight) -> list[Chain]:
     chains = []
     faults = _by_suite(scenario)
     for component in scenario.suites:
@@ -148,7 +153,7 @@ def _chains(scenario: Scenario, flight: Flight) -> list[Chain]:
             seed=scenario.seed,
             dt=flight.dt,
             epoch=scenario.epoch,
-            start_lla=lla,
+            start_lla=np.array(site.lla),
             faults=faults[component.name],
         )
         listening = {
@@ -185,7 +190,7 @@ def _feed_back(flight: Flight, estimates: Estimates, gyro_b: np.ndarray) -> None
         flight.feedback(estimates.q_nb[-1], gyro_b[-1] - np.nan_to_num(estimates.gyro_bias[-1]))
 
 
-def _metadata(scenario: Scenario, chains: list[Chain]) -> dict[str, dict[str, str]]:
+def _metadata(scenario: Scenario, site: Site, chains: list[Chain]) -> dict[str, dict[str, str]]:
     from importlib.metadata import version
 
     packages = ("ahrs-sim", "jsbsim", "numpy", "numba", "wmm-calculator")
@@ -198,5 +203,12 @@ def _metadata(scenario: Scenario, chains: list[Chain]) -> dict[str, dict[str, st
     }
     versions = {"python": platform.python_version(), **{name: version(name) for name in packages}}
     suites = {f"suite {c.suite.name}": c.suite.specification() for c in chains}
+    sheets = {f"sensors {c.suite.name}": exactly(c.suite.info) for c in chains}
     methods = {f"estimator {e.name}": {k: str(v) for k, v in e.settings.items()} for e in scenario.estimators}
-    return {"flight": flight, "versions": versions, **suites, **methods}
+    return {"flight": flight, "versions": versions, "site": exactly(site), **sheets, **suites, **methods}
+
+
+def exactly(known: Site | SensorInfo) -> dict[str, str]:
+    """What estimators are told, as texts that give the same numbers again: a replay needs neither grades nor models."""
+    values = dataclasses.asdict(known)
+    return {k: " ".join(repr(float(x)) for x in np.atleast_1d(v)) for k, v in values.items()}
