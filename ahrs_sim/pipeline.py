@@ -28,6 +28,9 @@ from estimators.types import Columns, Estimates, SensorInfo, Site
 BLOCK_S = 2.0
 """Length of a block when no estimator flies the aircraft, and of what the log is given at once."""
 
+LIGHT_CHUNK_S = 10.0
+"""Length of the chunks of a light log: a crash loses the run in any case."""
+
 
 @dataclass
 class Chain:
@@ -44,6 +47,7 @@ def fly(
     *,
     force: bool = False,
     block_s: float = BLOCK_S,
+    light: bool = False,
     progress: Callable[[float, float | None], None] = lambda t, end: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
@@ -54,6 +58,7 @@ def fly(
         output: the log; `output.part` until it is complete.
         force: replace an existing log.
         block_s: length of the blocks, s; the log does not depend on it.
+        light: log only what `compare` reads.
         progress: called with the time reached and the expected end (None: unknown), s.
         stopped: asked after every block; true ends the flight and completes the log.
 
@@ -76,6 +81,8 @@ def fly(
         attachments=attachments,
         metadata=_metadata(scenario, site, chains),
         force=force,
+        light=light,
+        chunk_s=LIGHT_CHUNK_S if light else 1.0,
     ) as log:
         record = _Recorder(log)
         while len(truth := flight.process(rows)):

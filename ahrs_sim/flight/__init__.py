@@ -13,6 +13,8 @@ class Flight(Protocol):
 
     dt: float
     """s between rows of the truth."""
+    start_lla: np.ndarray
+    """(3,) rad, rad, m: where it begins; a script of JSBSim's has a place of its own."""
     done: bool
     """Nothing more comes."""
     error: str | None

@@ -133,6 +133,8 @@ class JsbsimFlight:
             model = fdm.exec.get_model_name()
             raise InputError(f"{scenario.where}: [pilot]: attitude: '{model}' has not our autopilot; leave it out")
         self._settle(scenario)
+        place = [fdm[name] * scale for name, scale in _COLUMNS[:3]]
+        self.start_lla = np.array(place)
         self._run = fdm.exec.run
         self._next = 0  # number of the next row
         self._last: list[float] = []  # raw values of the last row

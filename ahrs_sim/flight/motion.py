@@ -344,6 +344,7 @@ class MotionFlight:
         self._next = 0
         self._ground = start.altitude
         self._lla = (start.latitude, start.longitude, start.altitude + start.height)  # of the row before
+        self.start_lla = np.array(self._lla)
         self._vel: tuple[float, float, float] | None = None
         wind = scenario.wind
         self._wind_n = np.array([-wind.speed * math.cos(wind.from_), -wind.speed * math.sin(wind.from_), 0.0])
