@@ -15,7 +15,7 @@ import os
 import struct
 import threading
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -309,6 +309,33 @@ class LogReader:
                 ready[topic], held[topic] = array[:cut], array[cut:]
             if any(len(array) for array in ready.values()):
                 yield ready
+
+    def carried(self, topics: Collection[str]) -> dict[int, tuple[Channel, Schema | None]]:
+        """Channels of `topics` with their schemas, by number: for `LogWriter.carry`."""
+        channels = self._contents.channels
+        return {
+            n: (channels[n], self._contents.schemas.get(channels[n].schema_id))
+            for topic, numbers in self._topics.items()
+            if topic in topics
+            for n in numbers
+        }
+
+    def raw_blocks(self, numbers: Collection[int]) -> Iterator[tuple[int, dict[int, list[np.ndarray]]]]:
+        """Message records of channels as they are, in bounded memory, whatever their encoding.
+
+        Yields:
+            A log time (ns) before which nothing will follow, and records (n, size) uint8 by channel, in the order of
+            the file but for messages of different sizes.
+        """
+        pieces = sorted(
+            (p for p in self._contents.pieces if p.index is None or set(numbers) & p.index.keys()),
+            key=lambda p: p.start,
+        )
+        for i, piece in enumerate(pieces):
+            rows = {number: _Rows() for number in numbers}
+            self._guard(functools.partial(self._gather, piece, rows, None, None))
+            found = {n: [batch for batch, _ in r.batches()] for n, r in rows.items() if r.count}
+            yield (pieces[i + 1].start if i + 1 < len(pieces) else piece.end), found
 
     def frame(self, topic: str, start: int | None = None, end: int | None = None) -> "pandas.DataFrame":
         """One topic as a pandas frame: a column for each number (`angular_velocity.x`, `innovation.0`), index log time.

@@ -15,7 +15,7 @@ ROS by `/tf_static`.
 """
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -37,6 +37,7 @@ from ahrs_sim.sensors.records import (
     PhaseRecord,
     PressureRecord,
     Record,
+    SuiteBlock,
     VelocityRecord,
 )
 from ahrs_sim.world import wgs84
@@ -300,6 +301,9 @@ INSTRUMENTS: dict[str, tuple[type[Record], Route]] = {
 }
 """Block type and topic of each instrument of a suite; the topic goes behind `/<suite>`."""
 
+HEARD = ("imu", "mag", "fix", "velocity", "heading", "air")
+"""Instruments that estimators listen to."""
+
 STATUS: dict[str, Route] = {
     instrument: Route(topic, "ahrs_sim_msgs/msg/SensorStatus", FRD, about, fields)
     for instrument, topic, about, fields in (
@@ -376,6 +380,44 @@ class _Every:
         return np.arange(first, n, self.k)
 
 
+class EstimateTopics:
+    """What estimators say, `/est/NAME/state` and `/est/NAME/imu`, into a log not started yet.
+
+    Args:
+        writer: of the log.
+        epoch_ns: zero of the estimates' time, ns since 1970.
+        names: of the estimators.
+        light: the state alone.
+    """
+
+    def __init__(self, writer: LogWriter, epoch_ns: int, names: Iterable[str], *, light: bool = False) -> None:
+        self.writer, self.epoch_ns, self._light = writer, epoch_ns, light
+        self._channels = {
+            name: (STATE.channel(writer, f"/est/{name}"), ESTIMATED_IMU.channel(writer, f"/est/{name}"))
+            for name in names
+        }
+
+    def write(self, name: str, block: Estimates) -> None:
+        """A block of one estimator."""
+        if not len(block):
+            return
+        times = nanoseconds(self.epoch_ns, block.t)
+        state, imu = self._channels[name]
+        self.writer.write(state, times, times, **STATE.columns(block))
+        if self._light:
+            return
+        known = np.isfinite(block.q_nb).all(axis=1)
+        if known.any():
+            block, times = _picked(block, known), times[known]
+            covariance = np.nan_to_num(block.att_cov)
+            self.writer.write(imu, times, times, orientation=block.q_nb, orientation_covariance=covariance)
+
+
+def nanoseconds(epoch_ns: int, t: np.ndarray) -> np.ndarray:
+    """Times of flight `t` (s) in ns since 1970."""
+    return epoch_ns + np.rint(t * 1e9).astype(np.int64)
+
+
 class FlightLog:
     """The log of a flight being flown; see `LogWriter` for how it behaves as a context manager and when it fails.
 
@@ -389,6 +431,8 @@ class FlightLog:
         metadata: records of names and values: seeds, versions, specifications.
         force: overwrite an existing log.
         chunk_s: what a crash can cost, s.
+        light: only what a comparison reads (truth, true biases, states of the estimators, events), uncompressed: a
+            tenth of the work, for runs of which the figures are kept and not the log.
 
     Raises:
         InputError: the log exists, or cannot be created.
@@ -406,9 +450,11 @@ class FlightLog:
         metadata: Mapping[str, Mapping[str, str]] | None = None,
         force: bool = False,
         chunk_s: float = 1.0,
+        light: bool = False,
     ) -> None:
         self.epoch_ns = epoch_ns
-        self.writer = writer = LogWriter(path, epoch_ns=epoch_ns, force=force, chunk_s=chunk_s)
+        self._light = light
+        self.writer = writer = LogWriter(path, epoch_ns=epoch_ns, force=force, chunk_s=chunk_s, compress=not light)
         self._origin: np.ndarray | None = None
         self._logged = _Every(truth_rate / TRUTH_RATE)
         self._moved = _Every(truth_rate / TF_RATE)
@@ -434,10 +480,7 @@ class FlightLog:
                 if instrument == "imu":
                     self._temperature[suite] = TEMPERATURE.channel(writer, f"/{suite}")
                     self._warmed[suite] = _Every(TEMPERATURE_EVERY)
-        self._estimates = {
-            name: (STATE.channel(writer, f"/est/{name}"), ESTIMATED_IMU.channel(writer, f"/est/{name}"))
-            for name in estimators
-        }
+        self._estimates = EstimateTopics(writer, epoch_ns, estimators, light=light)
         for name, values in (metadata or {}).items():
             writer.metadata(name, values)
         for name, data in (attachments or {}).items():
@@ -450,7 +493,7 @@ class FlightLog:
         return self.writer.add_channel(route.topic, route.type_name, constant=route.constant)
 
     def _ns(self, t: np.ndarray) -> np.ndarray:
-        return self.epoch_ns + np.rint(t * 1e9).astype(np.int64)
+        return nanoseconds(self.epoch_ns, t)
 
     def truth(self, block: Truth) -> None:
         """The truth, all rows of the flight in order; every k-th is kept."""
@@ -468,6 +511,8 @@ class FlightLog:
                 columns["twist.twist.linear"] = _to_body(logged.q_nb, logged.vel_n)
                 columns["twist.twist.angular"] = logged.rate_ib_b
             self.writer.write(channel, times[rows], times[rows], **columns)
+        if self._light:
+            return
         rows = self._moved.rows(len(block))
         moved = {
             "transforms.0.transform.translation": _offset_n(block.lla[rows], self._origin),
@@ -487,7 +532,7 @@ class FlightLog:
 
     def record(self, suite: str, instrument: str, block: Record) -> None:
         """What an instrument has sent, in the order of its stamps."""
-        if not len(block):
+        if not len(block) or (self._light and instrument != "imu_errors"):
             return
         route = INSTRUMENTS[instrument][1]
         columns = route.columns(block)
@@ -512,19 +557,12 @@ class FlightLog:
 
     def estimates(self, name: str, block: Estimates) -> None:
         """What an estimator says."""
-        if not len(block):
-            return
-        times = self._ns(block.t)
-        state, imu = self._estimates[name]
-        self.writer.write(state, times, times, **STATE.columns(block))
-        known = np.isfinite(block.q_nb).all(axis=1)
-        if known.any():
-            block, times = _picked(block, known), times[known]
-            covariance = np.nan_to_num(block.att_cov)
-            self.writer.write(imu, times, times, orientation=block.q_nb, orientation_covariance=covariance)
+        self._estimates.write(name, block)
 
     def setpoints(self, block: Setpoints) -> None:
         """What the pilot asks for."""
+        if self._light:
+            return
         times = self._ns(block.t)
         self.writer.write(self._setpoints, times, times, **SETPOINTS.columns(block))
 
@@ -630,12 +668,7 @@ class FlightReader(LogReader):
         kind, route = INSTRUMENTS[instrument]
         span = self._span(start, end)
         array = self.read(f"/{suite}{route.topic}", *span)
-        columns = blank(kind, len(array))
-        route.put(columns, array)
-        columns["stamp_ns"][:] = stamps(array) - self.epoch_ns
-        columns["arrival_ns"][:] = array["log_time"] - self.epoch_ns
-        if kind is FixRecord:
-            columns["sigma"][:] = np.sqrt(array["position_covariance"][:, [4, 0, 8]])
+        columns = self._columns(kind, route, array)
         if instrument in STATUS:
             # The last status with a stamp not after the message's.
             status = self.read(f"/{suite}{STATUS[instrument].topic}", None, span[1])
@@ -648,6 +681,41 @@ class FlightReader(LogReader):
                 kelvin = array["temperature"] + 273.15
                 columns["temperature"][:] = np.interp(columns["stamp_ns"], stamps(array) - self.epoch_ns, kelvin)
         return kind(**columns)
+
+    def suite_blocks(self, names: Sequence[str]) -> Iterator[dict[str, SuiteBlock]]:
+        """What the instruments of several suites have sent, by suite, portion by portion in the order of arrival.
+
+        Only what estimators see: states of saturation and temperatures are left out.
+
+        Raises:
+            InputError: a suite is not in this log.
+        """
+        if unknown := [name for name in names if name not in self.suites]:
+            raise InputError(f"{self.path}: no suite '{unknown[0]}'{nearest(unknown[0], self.suites)}")
+        heard = [(suite, i) for suite in names for i in self.suites[suite] if i in HEARD]
+        topics = {f"/{suite}{INSTRUMENTS[i][1].topic}": (suite, i) for suite, i in heard}
+        satellites = {f"/{suite}{STATUS[i].topic}": suite for suite, i in heard if i == "fix"}
+        for messages in self.blocks([*topics, *satellites]):
+            found: dict[str, SuiteBlock] = {suite: {} for suite in names}
+            for topic, (suite, instrument) in topics.items():
+                kind, route = INSTRUMENTS[instrument]
+                columns = self._columns(kind, route, messages[topic])
+                if kind is FixRecord:  # one status a fix, sent with it
+                    status = messages[f"/{suite}{STATUS[instrument].topic}"]
+                    rows = np.searchsorted(stamps(status), columns["stamp_ns"] + self.epoch_ns, "right") - 1
+                    if len(status):
+                        STATUS[instrument].put(columns, status[np.maximum(rows, 0)])
+                found[suite][instrument] = kind(**columns)
+            yield found
+
+    def _columns(self, kind: type[Record], route: Route, array: np.ndarray) -> dict[str, np.ndarray]:
+        columns = blank(kind, len(array))
+        route.put(columns, array)
+        columns["stamp_ns"][:] = stamps(array) - self.epoch_ns
+        columns["arrival_ns"][:] = array["log_time"] - self.epoch_ns
+        if kind is FixRecord:
+            columns["sigma"][:] = np.sqrt(array["position_covariance"][:, [4, 0, 8]])
+        return columns
 
     def estimates(self, name: str, start: float | None = None, end: float | None = None) -> Estimates:
         """What an estimator said.

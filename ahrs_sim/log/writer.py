@@ -13,6 +13,7 @@ it came in. One worker thread compresses and writes; its queue is short, so memo
 """
 
 import contextlib
+import dataclasses
 import queue
 import threading
 import zlib
@@ -73,6 +74,17 @@ class LogChannel:
             ) from None
 
 
+class CarriedChannel:
+    """One topic of another log, whose messages go into this one as they are; made by `LogWriter.carry`."""
+
+    def __init__(self, number: int, channel: Channel, schema: Schema | None) -> None:
+        self.id = number
+        self.topic = channel.topic
+        self.channel = channel
+        self.schema = schema
+        self.pending: list[np.ndarray] = []
+
+
 def _record_head(channel: int, payload: int) -> bytes:
     return MESSAGE_HEAD.pack(5, _HEAD - 9 + payload, channel, 0, 0, 0)
 
@@ -89,18 +101,22 @@ class LogWriter:
         epoch_ns: ns since 1970, kept in the metadata record `log`; the time of the attachments.
         chunk_s: length of a chunk in log time; what a crash can cost.
         force: overwrite a finished or an unfinished log of that name.
+        compress: false: chunks as they are and without checksum, for a log that is read once and thrown away.
 
     Raises:
         InputError: the log exists, or cannot be created.
     """
 
-    def __init__(self, path: str | Path, *, epoch_ns: int, chunk_s: float = 1.0, force: bool = False) -> None:
+    def __init__(
+        self, path: str | Path, *, epoch_ns: int, chunk_s: float = 1.0, force: bool = False, compress: bool = True
+    ) -> None:
         self.path = Path(path)
         self.part = self.path.with_name(self.path.name + SUFFIX)
         self._epoch_ns = epoch_ns
         self._chunk_ns = round(chunk_s * 1e9)
         self._force = force
-        self._channels: list[LogChannel] = []
+        self._compress = compress
+        self._channels: list[LogChannel | CarriedChannel] = []
         self._schemas: dict[str, int] = {}
         self._metadata: dict[str, dict[str, str]] = {"log": {"epoch_ns": str(epoch_ns)}}
         self._attachments: list[Attachment] = []
@@ -151,6 +167,18 @@ class LogWriter:
         self._schemas.setdefault(type_name, len(self._schemas) + 1)
         return channel
 
+    def carry(self, channel: Channel, schema: Schema | None) -> CarriedChannel:
+        """A topic of another log (`LogReader.carried`), for `pass_on`.
+
+        Raises:
+            ValueError: the topic is one of ours already, or the log is started.
+        """
+        if self._worker or any(isinstance(c, LogChannel) and c.topic == channel.topic for c in self._channels):
+            raise ValueError(f"{channel.topic}: channels are added once and before start()")
+        carried = CarriedChannel(len(self._channels) + 1, channel, schema)
+        self._channels.append(carried)
+        return carried
+
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """A record of names and values: seeds, versions, sensor specifications."""
         self._metadata[name] = {key: str(value) for key, value in values.items()}
@@ -172,7 +200,16 @@ class LogWriter:
         for name, number in self._schemas.items():
             text = messages.schema_text(name).encode()
             self._file.schema(Schema(id=number, data=text, encoding="ros2msg", name=name))
+        foreign: dict[tuple[str, str, bytes], int] = {}
         for channel in self._channels:
+            if isinstance(channel, CarriedChannel):
+                number = 0
+                if (schema := channel.schema) is not None:
+                    key = schema.name, schema.encoding, schema.data
+                    number = foreign.setdefault(key, len(self._schemas) + len(foreign) + 1)
+                    self._file.schema(dataclasses.replace(schema, id=number))
+                self._file.channel(dataclasses.replace(channel.channel, id=channel.id, schema_id=number))
+                continue
             self._file.channel(
                 Channel(
                     id=channel.id,
@@ -237,16 +274,29 @@ class LogWriter:
                 place.set(rows, stamp_ns, _HEAD)
         self._append(channel, rows, np.array([log_time_ns]), np.array([stamp_ns]))
 
-    def _append(self, channel: LogChannel, rows: np.ndarray, log_time_ns: np.ndarray, stamp_ns: np.ndarray) -> None:
+    def pass_on(self, channel: CarriedChannel, rows: np.ndarray) -> None:
+        """Message records (n, size) uint8 of `LogReader.raw_blocks`; changed in place.
+
+        Raises:
+            ValueError: the log is not open, or a message is older than the last `advance`.
+            LogError: the log could not be written.
+        """
+        head = _records(rows)
+        self._check_open(channel, int(head["log_time"].min()))
+        head["channel"] = channel.id
+        channel.pending.append(rows)
+
+    def _check_open(self, channel: LogChannel | CarriedChannel, earliest_ns: int) -> None:
         if self._error:
             self._fail()
         if not self._worker or self._closed:
             raise ValueError(f"{channel.topic}: the log is not open for messages; call start() first")
+        if earliest_ns < max(self._written_ns, 0):
+            raise ValueError(f"{channel.topic}: a message at {earliest_ns} ns comes after advance({self._written_ns})")
+
+    def _append(self, channel: LogChannel, rows: np.ndarray, log_time_ns: np.ndarray, stamp_ns: np.ndarray) -> None:
+        self._check_open(channel, int(log_time_ns.min()))
         n = len(rows)
-        if log_time_ns.min() < max(self._written_ns, 0):
-            raise ValueError(
-                f"{channel.topic}: a message at {log_time_ns.min()} ns comes after advance({self._written_ns})"
-            )
         head = _records(rows)
         head["sequence"] = np.arange(channel.count, channel.count + n)
         head["log_time"] = log_time_ns
@@ -332,11 +382,11 @@ class LogWriter:
                 data, start, end, index = item
                 self._file.chunk(
                     Chunk(
-                        compression="zstd",
-                        data=compressor.compress(data),
+                        compression="zstd" if self._compress else "",
+                        data=compressor.compress(data) if self._compress else bytes(data),
                         message_start_time=start,
                         message_end_time=end,
-                        uncompressed_crc=zlib.crc32(data),
+                        uncompressed_crc=zlib.crc32(data) if self._compress else 0,
                         uncompressed_size=len(data),
                     ),
                     index,
