@@ -86,13 +86,17 @@ def test_time_below():
 def test_heading_cost_grows_with_the_error():
     t = np.arange(0, 300, 0.1)
     wave = np.sin(2 * math.pi * t / 90)
-    costs = [heading_cost(t, math.radians(a) * wave, runs=10) for a in (0.0, 0.1, 1.0)]
+
+    def cost(heading_error, **settings):
+        return heading_cost(t, heading_error, runs=5, experiment=Experiment(duration=20.0), **settings)
+
+    costs = [cost(math.radians(a) * wave) for a in (0.0, 0.5, 2.0)]
     assert costs[0].error == pytest.approx(costs[0].ideal)
     assert costs[0].error < costs[1].error < costs[2].error
-    assert costs[1].heading_deg == pytest.approx(0.0707, rel=0.1)
-    wrapped = np.remainder(math.radians(0.1) * wave, 2 * math.pi)
-    assert heading_cost(t, wrapped, runs=10).error == pytest.approx(costs[1].error, rel=1e-6)
-    explicit = heading_cost(t, math.radians(0.1) * wave, rate_error=0 * t, runs=10)
+    assert costs[1].heading_deg == pytest.approx(0.354, rel=0.1)
+    wrapped = np.remainder(math.radians(0.5) * wave, 2 * math.pi)
+    assert cost(wrapped).error == pytest.approx(costs[1].error, rel=1e-6)
+    explicit = cost(math.radians(0.5) * wave, rate_error=0 * t)
     assert explicit.rate_deg == 0.0 and explicit.error < costs[1].error
 
 
