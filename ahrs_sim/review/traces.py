@@ -5,7 +5,7 @@ summed up by the second.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -169,34 +169,75 @@ def gather(
             )
         if reference is not None and reference not in log.estimators:
             raise InputError(f"{path}: --reference {reference}: no such estimator{nearest(reference, log.estimators)}")
-        truth = log.truth()
-        if len(truth) < 2:
+        columns = _columns(log)
+        t, phase = columns[compare.TRUTH_TOPIC]["t"], _phase(columns)
+        truth_q, lla = columns[compare.TRUTH_TOPIC]["q_nb"][: len(phase)], columns[compare.STATE_TOPIC]["lla"]
+        if len(phase) < 2:
             raise InputError(f"{path}: {compare.TRUTH_TOPIC} is empty: there is nothing to compare with")
-        low = max(truth.t[0], -math.inf if start is None else start)
-        high = min(truth.t[-1], math.inf if end is None else end)
+        t, lla = t[: len(phase)], lla[: len(phase)]
+        low = float(max(t[0], -math.inf if start is None else start))
+        high = float(min(t[-1], math.inf if end is None else end))
         if low >= high:
-            raise InputError(f"{path}: --from/--to: the log spans {truth.t[0]:.1f} to {truth.t[-1]:.1f} s")
-        phase = compare.phases(truth.t, truth.q_nb, np.linalg.norm(truth.vel_n, axis=1), truth.on_ground)
-        origin = truth.lla[0]
-        t, q_nb = compare.attitude(log, f"/est/{reference}/state") if reference else (truth.t, truth.q_nb)
-        kept, shown = (t >= low) & (t <= high), (truth.t >= low) & (truth.t <= high)
+            raise InputError(f"{path}: --from/--to: the log spans {t[0]:.1f} to {t[-1]:.1f} s")
+        reference_t, q_nb = compare.attitude(log, f"/est/{reference}/state") if reference else (t, truth_q)
+        kept, shown = (reference_t >= low) & (reference_t <= high), (t >= low) & (t <= high)
         texts = {n: log.attachment(n).decode(errors="replace") for n in log.attachments if n.endswith(".toml")}
         return FlightTraces(
             path=path,
             label=path.stem,
             reference=reference or "truth",
-            t=t[kept],
+            t=reference_t[kept],
             q_nb=q_nb[kept],
-            truth_t=truth.t[shown],
-            position=wgs84.offset_n(truth.lla[shown], origin),
-            speed=truth.airspeed[shown],
+            truth_t=t[shown],
+            position=wgs84.offset_n(lla[shown], lla[0]),
+            speed=columns[compare.AIR_TOPIC]["airspeed"][: len(phase)][shown],
             phase=phase[shown],
-            estimators=_estimators(log, t, q_nb, origin, low, high),
-            suites={suite: _suite(log, suite, names, origin, low, high) for suite, names in log.suites.items()},
+            estimators=_estimators(log, reference_t, q_nb, lla[0], low, high),
+            suites={suite: _suite(columns, suite, lla[0], low, high) for suite in log.suites},
             events=[e for e in log.events() if low <= e.t <= high] if "/events" in log.topics else [],
             metadata=log.metadata,
             attachments=texts,
         )
+
+
+def _columns(log: FlightReader) -> dict[str, dict[str, np.ndarray]]:
+    """By topic and name what is needed of the truth and of the suites: one pass, for uncompressing is what costs."""
+    wanted: dict[str, Callable[[np.ndarray], dict[str, np.ndarray]]] = {
+        compare.TRUTH_TOPIC: lambda m: {"q_nb": quaternion(m["pose"]["pose"]["orientation"])},
+        compare.STATE_TOPIC: lambda m: {"lla": m["lla"], "speed": np.linalg.norm(vector(m["velocity"]), axis=1)},
+        compare.AIR_TOPIC: lambda m: {"airspeed": m["airspeed"], "on_ground": m["on_ground"]},
+    }
+    if missing := [topic for topic in wanted if topic not in log.topics]:
+        raise InputError(f"{log.path}: no {missing[0]} in it: there is nothing to compare with")
+    for suite in log.suites:
+        wanted[f"/{suite}/imu/errors"] = lambda m: {"gyro": vector(m["gyro_bias"]), "accel": vector(m["accel_bias"])}
+        wanted[f"/{suite}/gps/status"] = lambda m: {"satellites": m["satellites"].astype(float)}
+        wanted[f"/{suite}/gps/fix"] = lambda m: {
+            "lla": np.column_stack([np.radians(m["latitude"]), np.radians(m["longitude"]), m["altitude"]])
+        }
+    topics = [topic for topic in wanted if topic in log.topics]
+    parts: dict[str, list[dict[str, np.ndarray]]] = {topic: [] for topic in topics}
+    for block in log.blocks(topics):
+        for topic, messages in block.items():
+            parts[topic].append({"t": log.seconds(stamps(messages)), **wanted[topic](messages)})
+    return {
+        topic: {name: np.concatenate([b[name] for b in blocks]) for name in blocks[0]}
+        for topic, blocks in parts.items()
+        if blocks
+    }
+
+
+def _phase(columns: dict[str, dict[str, np.ndarray]]) -> np.ndarray:
+    """Index into compare.PHASES (n,); a recovered log may end between two topics, the shortest counts."""
+    truth = [
+        columns.get(topic, {"t": np.empty(0)})
+        for topic in (compare.TRUTH_TOPIC, compare.STATE_TOPIC, compare.AIR_TOPIC)
+    ]
+    n = min(len(c["t"]) for c in truth)
+    if n < 2:
+        return np.empty(0, int)
+    odometry, state, air = truth
+    return compare.phases(odometry["t"][:n], odometry["q_nb"][:n], state["speed"][:n], air["on_ground"][:n])
 
 
 class _Gathering:
@@ -284,35 +325,24 @@ def _estimators(
     return {name: g.trace(name, suite[name]) for name, g in gathering.items() if g.columns}
 
 
-def _thinned(log: FlightReader, topic: str, low: float, high: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Times and messages of a topic at COARSE or slower."""
-    last = -(2**62)
-    for messages in log.blocks(topic):
-        at = log.seconds(stamps(messages))
-        cell = np.floor(at * COARSE + 1e-6).astype(np.int64)
-        rows = np.flatnonzero((np.diff(cell, prepend=last) != 0) & (at >= low) & (at <= high))
-        last = int(cell[-1]) if len(cell) else last
-        yield at[rows], messages[rows]
-
-
 def _suite(
-    log: FlightReader, suite: str, instruments: list[str], origin: np.ndarray, low: float, high: float
+    columns: dict[str, dict[str, np.ndarray]], suite: str, origin: np.ndarray, low: float, high: float
 ) -> SuiteTrace:
-    t, gyro, accel = [np.empty(0)], [np.empty((0, 3))], [np.empty((0, 3))]
-    if "imu_errors" in instruments:
-        for at, messages in _thinned(log, f"/{suite}/imu/errors", low, high):
-            t.append(at)
-            gyro.append(vector(messages["gyro_bias"]))
-            accel.append(vector(messages["accel_bias"]))
-    fix_t, satellites, position = np.empty(0), np.empty(0), np.empty((0, 2))
-    if f"/{suite}/gps/status" in log.topics:
-        status = log.read(f"/{suite}/gps/status")
-        fix_t, satellites = log.seconds(stamps(status)), status["satellites"].astype(float)
-    if "fix" in instruments:
-        fix = log.read(f"/{suite}/gps/fix")
-        lla = np.column_stack([np.radians(fix["latitude"]), np.radians(fix["longitude"]), fix["altitude"]])
-        position = wgs84.offset_n(lla[np.isfinite(lla).all(axis=1)], origin)[:, :2]
-    return SuiteTrace(np.concatenate(t), np.concatenate(gyro), np.concatenate(accel), fix_t, satellites, position)
+    none = {"t": np.empty(0)}
+    errors, status, fix = (columns.get(f"/{suite}/{topic}", none) for topic in ("imu/errors", "gps/status", "gps/fix"))
+    cell = np.floor(errors["t"] * COARSE + 1e-6)
+    rows = np.flatnonzero((np.diff(cell, prepend=-np.inf) != 0) & (errors["t"] >= low) & (errors["t"] <= high))
+    heard = (status["t"] >= low) & (status["t"] <= high)
+    lla = fix.get("lla", np.empty((0, 3)))
+    lla = lla[np.isfinite(lla).all(axis=1) & (fix["t"] >= low) & (fix["t"] <= high)]
+    return SuiteTrace(
+        t=errors["t"][rows],
+        gyro_bias=errors.get("gyro", np.empty((0, 3)))[rows],
+        accel_bias=errors.get("accel", np.empty((0, 3)))[rows],
+        satellites_t=status["t"][heard],
+        satellites=status.get("satellites", np.empty(0))[heard],
+        fix=wgs84.offset_n(lla, origin)[:, :2] if len(lla) else np.empty((0, 2)),
+    )
 
 
 def finding(flight: FlightTraces, trace: EstimatorTrace) -> str:
