@@ -266,14 +266,14 @@ def make_faults(components: Iterable[Component], *, suite: str, instruments: Seq
         InputError: an unknown sensor, kind or key, a size that the kind needs, or one in a unit of another sensor.
     """
     made = []
-    for number, component in enumerate(components):
-        fault = _make(component, suite, instruments, seed, number)
+    for component in components:
+        fault = _make(component, suite, instruments, seed)
         if fault is not None:
             made.append(fault)
     return Faults(made, suite)
 
 
-def _make(component: Component, suite: str, instruments: Sequence[str], seed: int, number: int) -> Fault | None:
+def _make(component: Component, suite: str, instruments: Sequence[str], seed: int) -> Fault | None:
     table = component.table()
     named = table.text("suite", "")
     sensor = table.choice("sensor", sorted(SENSORS))
@@ -282,7 +282,7 @@ def _make(component: Component, suite: str, instruments: Sequence[str], seed: in
     lasting = table.number("for_s", math.inf, above=0.0) if table.has("for_s") else math.inf
     channels = SENSORS[sensor]
     fault = Fault(
-        component.name, sensor, kind, channels, at, at + lasting, seeds.generator(seed, "fault", str(number), suite)
+        component.name, sensor, kind, channels, at, at + lasting, seeds.generator(seed, "fault", component.name, suite)
     )
     _fill(fault, table)
     table.close()
