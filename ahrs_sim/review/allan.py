@@ -356,19 +356,23 @@ def _chi2(freedom: np.ndarray, z: float) -> np.ndarray:
 def _fit(tau: np.ndarray, variance: np.ndarray, relative: np.ndarray, shared: float) -> tuple[np.ndarray, np.ndarray]:
     """Non-negative least squares of N^2, F^2, K^2 and their standard errors, (3,) each.
 
-    `relative` (k,) is the relative error of a deviation; the variance's is twice that of the deviation, and the weights
-    come from the model, not from the noisy points, in a second and third pass.
+    `relative` (k,) is the relative error of a variance; the weights come from the model, not the noisy points, after
+    the first pass.
     """
+    size = float(variance.max())
+    if size == 0.0:
+        return np.zeros(3), np.zeros(3)
+    variance = variance / size
     basis = np.column_stack([1.0 / tau, np.ones_like(tau), tau / 3.0])
     model = variance.copy()
     for _ in range(4):
-        weight = 1.0 / (relative * np.maximum(model, 1e-300))
+        weight = 1.0 / (relative * np.maximum(model, 1e-12))
         a, b = basis * weight[:, None], variance * weight
         scale = np.sqrt(np.sum(a * a, axis=0))
         best, cost = np.zeros(3), float(b @ b)
         # Three unknowns: all subsets are tried, and the best whose coefficients are positive is the solution.
-        for size in (1, 2, 3):
-            for used in map(list, itertools.combinations(range(3), size)):
+        for terms in (1, 2, 3):
+            for used in map(list, itertools.combinations(range(3), terms)):
                 x = np.linalg.lstsq(a[:, used] / scale[used], b, rcond=None)[0] / scale[used]
                 r = b - a[:, used] @ x
                 if (x > 0.0).all() and float(r @ r) < cost:
@@ -379,7 +383,7 @@ def _fit(tau: np.ndarray, variance: np.ndarray, relative: np.ndarray, shared: fl
         model = basis @ best
     scaled = a / scale
     covariance = np.linalg.pinv(scaled.T @ scaled) / np.outer(scale, scale)
-    return best, shared * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return size * best, size * shared * np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
 
 def _root(square: np.ndarray, error: np.ndarray) -> Coefficient:
