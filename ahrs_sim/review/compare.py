@@ -37,7 +37,12 @@ PHASES = ("ground", "straight", "turning", "transient")
 
 
 def compare(
-    path: Path, *, reference: str | None = None, start: float | None = None, end: float | None = None
+    path: Path,
+    *,
+    reference: str | None = None,
+    start: float | None = None,
+    end: float | None = None,
+    band_s: float | None = None,
 ) -> dict[str, Any]:
     """Errors of every estimator in a log.
 
@@ -45,19 +50,22 @@ def compare(
         path: the log.
         reference: an estimator of the log to compare with instead of the truth.
         start, end: only samples in this span, s of flight.
+        band_s: for campaigns: also the RMSE of every so many seconds, and mean NEES and NIS per degree of freedom.
 
     Returns:
         {"log", "reference", "from_s", "to_s", "estimators": {NAME: {"tilt_rmse_deg"..., "availability",
-        "phases": {PHASE: {...}}}}}. A value that cannot be told (a heading that the method does not estimate) is None.
+        "phases": {PHASE: {...}}}}}; with `band_s` also "nees", "nis" and "bands": {MEASURE: [...]}. A value that
+        cannot be told (a heading that the method does not estimate) is None.
 
     Raises:
         InputError: no log, no truth or estimator in it, or an unknown reference.
     """
     with FlightReader(path) as log:
-        return _compare(log, reference, -math.inf if start is None else start, math.inf if end is None else end)
+        span = -math.inf if start is None else start, math.inf if end is None else end
+        return _compare(log, reference, *span, band_s)
 
 
-def _compare(log: FlightReader, reference: str | None, low: float, high: float) -> dict[str, Any]:
+def _compare(log: FlightReader, reference: str | None, low: float, high: float, band_s: float | None) -> dict[str, Any]:
     path, names = log.path, log.estimators
     if not names:
         raise InputError(f"{path}: no estimates in it (no topic /est/NAME/state); replay it with an estimator first")
@@ -68,9 +76,11 @@ def _compare(log: FlightReader, reference: str | None, low: float, high: float) 
     if max(low, truth.t[0]) >= min(high, truth.t[-1]):
         raise InputError(f"{path}: --from/--to: the log spans {truth.t[0]:.1f} to {truth.t[-1]:.1f} s")
     estimators = {}
-    for name, (t, errors) in _errors(log, names, *against).items():
+    for name, (t, errors, honesty) in _errors(log, names, *against, band_s is not None).items():
         within = (t >= low) & (t <= high)
         estimators[name] = _summary(errors[within], truth.phase[_row(truth.t, t[within])])
+        if band_s is not None:
+            estimators[name] |= _details(t[within], errors[within], honesty[within], band_s)
     return {
         "log": str(path),
         "reference": reference or "truth",
@@ -143,18 +153,48 @@ def attitude(log: FlightReader, topic: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _errors(
-    log: FlightReader, names: list[str], t: np.ndarray, q_nb: np.ndarray
-) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Times (n,) and errors (n, 5) of each estimator against an attitude history."""
+    log: FlightReader, names: list[str], t: np.ndarray, q_nb: np.ndarray, with_honesty: bool
+) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Times (n,), errors (n, 5) and honesty (n, 3) of each estimator against an attitude history."""
     topics = {f"/est/{name}/state": name for name in names}
-    parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {name: [] for name in names}
+    parts: dict[str, list[tuple[np.ndarray, ...]]] = {name: [] for name in names}
     for block in log.blocks(list(topics)):
         for topic, messages in block.items():
             at = _seconds(log, messages)
             reference = metrics.interpolate(t, q_nb, at)
-            errors = metrics.attitude_errors(quaternion(messages["orientation"]), vector(messages["down"]), reference)
-            parts[topics[topic]].append((at, errors.astype(np.float32)))
+            estimate = quaternion(messages["orientation"])
+            errors = metrics.attitude_errors(estimate, vector(messages["down"]), reference).astype(np.float32)
+            honesty = _honesty(messages, estimate, reference) if with_honesty else np.empty((len(at), 0))
+            parts[topics[topic]].append((at, errors, honesty))
     return {name: tuple(np.concatenate(c) for c in zip(*p, strict=True)) for name, p in parts.items()}  # type: ignore[misc]
+
+
+def _honesty(messages: np.ndarray, q_nb: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """(n, 3) float32: NEES of the attitude per degree of freedom; NIS and its degrees of freedom."""
+    from ahrs_sim.review import consistency  # scipy: not for every comparison
+
+    nees = consistency.attitude_nees(q_nb, messages["attitude_covariance"].reshape(-1, 3, 3).astype(float), reference)
+    nis = consistency.nis(messages["innovation"].astype(float), messages["innovation_variance"].astype(float))
+    return np.column_stack([nees / 3.0, *nis]).astype(np.float32)
+
+
+def _details(t: np.ndarray, errors: np.ndarray, honesty: np.ndarray, band_s: float) -> dict[str, Any]:
+    """Mean NEES and NIS per degree of freedom, and tilt and heading RMSE (deg) of each `band_s` since t = 0."""
+    freedom = float(np.nansum(honesty[:, 2]))
+    known = honesty[np.isfinite(honesty[:, 0]), 0]
+    values = {
+        "nees": float(np.mean(known, dtype=float)) if len(known) else math.nan,
+        "nis": float(np.nansum(honesty[:, 1], dtype=float)) / freedom if freedom else math.nan,
+    }
+    number = np.floor(t / band_s + 1e-6).astype(int)
+    bands: dict[str, list[float | None]] = {}
+    for measure in ("tilt", "heading"):
+        squares = np.degrees(errors[:, metrics.MEASURES.index(measure)].astype(float)) ** 2
+        finite = np.isfinite(squares) & (number >= 0)
+        count = np.bincount(number[finite])
+        total = np.bincount(number[finite], squares[finite])
+        bands[measure] = [math.sqrt(x / n) if n else None for x, n in zip(total, count, strict=True)]
+    return {**_finite(values), "bands": bands}
 
 
 def _summary(errors: np.ndarray, phase: np.ndarray) -> dict[str, Any]:
