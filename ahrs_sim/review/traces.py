@@ -352,12 +352,12 @@ def finding(flight: FlightTraces, trace: EstimatorTrace) -> str:
         return "no attitude for ten seconds on end"
     parts = [
         f"worst from {worst.start:.0f} to {worst.end:.0f} s ({worst.phase}): {worst.axis} "
-        f"{math.degrees(worst.axis_rms):.2g} deg wrong"
+        f"{_degrees(worst.axis_rms)} wrong"
     ]
     if math.isfinite(worst.sigma):
         ratio = worst.axis_rms / worst.sigma if worst.sigma > 0 else math.inf
         word = "overconfident" if ratio > 3 else "as it said" if ratio > 0.3 else "better than it said"
-        parts.append(f" while its sigma was {math.degrees(worst.sigma):.2g} deg: {word}")
+        parts.append(f" while its sigma was {_degrees(worst.sigma)}: {word}")
     lost = trace.lost()
     if lost is not None:
         step = flight.step_at(lost)
@@ -372,3 +372,8 @@ def finding(flight: FlightTraces, trace: EstimatorTrace) -> str:
     if before:
         parts.append(f"; shortly before: {before[-1].text} ({before[-1].t:.0f} s)")
     return "".join(parts)
+
+
+def _degrees(angle: float) -> str:
+    value = math.degrees(angle)
+    return f"{value:.0f} deg" if value >= 10 else f"{value:.2g} deg"
