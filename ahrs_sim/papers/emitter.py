@@ -20,7 +20,7 @@ from ahrs_sim.papers import Claim, Reproduction, Verdict, holds, judge
 from estimators.locate import EmitterLocator, Looks
 from estimators.models.emitter import PHASE, RATE, Emitter, look, look_noise
 
-RUNS = 200
+RUNS = 400
 GOAL = 0.05
 """Located: RMS position error of all runs below 5 % of the range, for good."""
 
@@ -78,6 +78,10 @@ class Located:
     error: np.ndarray  # (runs, n) of the fix
     output: np.ndarray  # (runs, n) of the fix that the paper's output rule has chosen up to then
 
+    def first(self, runs: int) -> "Located":
+        """The first few runs of it."""
+        return Located(self.t, self.error[:runs], self.output[:runs])
+
     def rms(self) -> np.ndarray:
         """(n,) root mean square over the runs."""
         return np.asarray(np.sqrt(np.mean(self.error**2, axis=0)))
@@ -93,6 +97,13 @@ class Located:
     def time(self) -> float:
         """Time, s, until the RMS error is below `GOAL` for good; NaN when never."""
         return time_below(self.t, self.rms())
+
+    def spread(self, percent: tuple[float, float] = (5.0, 95.0)) -> list[float]:
+        """Percentiles of `time` over runs drawn again with replacement (bootstrap): how far luck goes."""
+        random, runs = seeds.generator(_SEED, "emitter", "bootstrap"), len(self.error)
+        drawn = [random.integers(0, runs, runs) for _ in range(200)]
+        times = [time_below(self.t, np.sqrt(np.mean(self.error[some] ** 2, axis=0))) for some in drawn]
+        return [float(value) for value in np.percentile(np.nan_to_num(times, nan=np.inf), percent, method="nearest")]
 
 
 def time_below(t: np.ndarray, error: np.ndarray) -> float:
@@ -292,6 +303,10 @@ _NO_FAILURE = (
     "Nothing in the geometry makes it fail: the bound passes 5 %R here too. The own velocity error of 2 m/s alone is "
     "worth 0.9 deg/s of phase rate, so that a filter which allows for it depends little on the phase rate's own error."
 )
+_LUCK = (
+    "Over runs drawn again from the same (bootstrap). Few runs decide: one coarse bearing in twenty is off by more "
+    "than the two sigma that the terms cover, and the RMS waits for those."
+)
 _LOCKED = (
     "Six terms leave gaps of nine bearings: the phase, taken modulo 2 pi, soon locks each term on the nearest bearing, "
     "a wrong one by up to four (1.4 deg), and an error of 2 to 4 %R stays for good. With all bearings as terms it does "
@@ -316,7 +331,7 @@ def reproduce(quick: bool = False) -> Reproduction:
             "bearing 5 deg, q = 9, true heading. Time: until the RMS error of all runs is below 5 % of the range (%R) "
             "for good. A time within a quarter of the paper's counts as the same."
         ),
-        claims=[*_tables(runs), *_figures(runs), *_headings(max(10, runs // 4))],
+        claims=[*_tables(runs), *_figures(runs), *_headings(max(10, runs // 8))],
     )
 
 
@@ -360,6 +375,17 @@ def _figures(runs: int) -> list[Claim]:
     claims = []
     usual = locate_all(Experiment(), runs)
 
+    likely = locate_all(Experiment(phase_rate_deg=0.5), runs).spread()
+    claims.append(
+        Claim(
+            "Table 1, phase and rate, 10 deg: 5 and 95 % of the times",
+            None,
+            _list(likely),
+            "s",
+            reason=_LUCK,
+            runs=runs,
+        )
+    )
     error = locate_all(Experiment(phase_deg=50.0), runs).at(30.0)
     claims.append(
         Claim("Fig. 7, phase error 50 deg: error after 30 s", "5", error, "%R", holds(error <= 5.0), "", runs)
@@ -370,11 +396,12 @@ def _figures(runs: int) -> list[Claim]:
         Claim("Fig. 4, two terms instead of six: error after 30 s", "large", few.at(30.0), "%R",
               holds(few.at(30.0) > 1.5 * usual.at(30.0)), "", runs)
     )  # fmt: skip
-    every = locate_all(Experiment(every=1), runs)
-    same = holds(every.at(30.0) > 0.75 * usual.at(30.0))
+    fewer = runs // 4  # 55 terms take their time; compared with the same runs of six
+    every, six = locate_all(Experiment(every=1), fewer), usual.first(fewer)
+    same = holds(every.at(30.0) > 0.75 * six.at(30.0))
     claims.append(
-        Claim("Section 2.1, all terms instead of six: error after 30 s", f"not much less ({usual.at(30.0):.2g})",
-              every.at(30.0), "%R", same, "" if same == Verdict.REPRODUCED else _LOCKED, runs)
+        Claim("Section 2.1, all terms instead of six: error after 30 s", f"not much less ({six.at(30.0):.2g})",
+              every.at(30.0), "%R", same, "" if same == Verdict.REPRODUCED else _LOCKED, fewer)
     )  # fmt: skip
 
     later = [usual.at(t) for t in (10.0, 20.0, 30.0)]
@@ -389,7 +416,8 @@ def _figures(runs: int) -> list[Claim]:
 
     rate_only = locate_all(Experiment(measured="rate"), runs)
     for what, located in (("six terms", usual), ("all terms", every), ("rate only", rate_only)):
-        claims.append(Claim(f"Error after 60 s, {what}", None, located.at(60.0), "%R", reason=_LOCKED, runs=runs))
+        number = len(located.error)
+        claims.append(Claim(f"Error after 60 s, {what}", None, located.at(60.0), "%R", reason=_LOCKED, runs=number))
     chosen = float(100.0 * np.sqrt(np.mean(usual.output[:, -1] ** 2)))
     claims.append(Claim("Error after 60 s, six terms, fix chosen by step 4", None, chosen, "%R", runs=runs))
     limits = [float(100.0 * bound(Experiment(), ambiguous=ambiguous)[-1]) for ambiguous in (True, False)]
