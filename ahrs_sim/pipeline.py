@@ -9,7 +9,7 @@ IMU sample long, else seconds; nothing else differs, and the log's bytes do not 
 import dataclasses
 import platform
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,11 @@ import numpy as np
 import estimators
 from ahrs_sim.errors import FlightError, InputError
 from ahrs_sim.flight import Flight, open_flight
-from ahrs_sim.flight.truth import Event
+from ahrs_sim.flight.truth import Event, Truth
 from ahrs_sim.log.record import FlightLog
 from ahrs_sim.scenario import Component, Scenario
 from ahrs_sim.sensors import Assembler, Suite, make_suite
+from ahrs_sim.sensors.faults import check_suites
 from ahrs_sim.world import gravity, magnetic
 from estimators.types import Columns, Estimates, SensorInfo, Site
 
@@ -39,6 +40,7 @@ class Chain:
     suite: Suite
     assembler: Assembler
     estimators: dict[str, estimators.Estimator]
+    waiting: list[Truth] = field(default_factory=list)  # until the log is next written, where nobody is in a hurry
 
 
 def fly(
@@ -67,7 +69,7 @@ def fly(
         FlightError: the flight did not reach its end; the log is complete up to there.
     """
     flight = open_flight(scenario)
-    site = _site(scenario)
+    site = _site(scenario, flight)
     chains = _chains(scenario, site, flight)
     closed_loop = scenario.pilot_attitude != "truth"
     rows = _rows_per_sample(scenario, chains) if closed_loop else max(1, round(block_s * scenario.rate))
@@ -86,29 +88,45 @@ def fly(
     ) as log:
         record = _Recorder(log)
         while len(truth := flight.process(rows)):
+            t = float(truth.t[-1])
             record.add(log.truth, truth)
-            for chain in chains:
-                block = chain.suite.process(truth)
-                for instrument, sent in block.items():
-                    record.add(log.record, sent, chain.suite.name, instrument)
-                samples = chain.assembler.process(block)
-                for name, estimator in chain.estimators.items():
-                    estimates = estimator.process(samples)
-                    record.add(log.estimates, estimates, name)
-                    if name == scenario.pilot_attitude:
-                        _feed_back(flight, estimates, samples.gyro_b)
-                record.events(chain.suite.take_events())
             record.add(log.setpoints, flight.take_setpoints())
+            due = record.due(t)
+            for chain in chains:
+                chain.waiting.append(truth)
+                if due or not closed_loop or scenario.pilot_attitude in chain.estimators:
+                    _listen(chain, record, flight, scenario.pilot_attitude)
             record.events(flight.take_events())
-            progress(float(truth.t[-1]), scenario.duration or flight.expected_duration)
+            progress(t, scenario.duration or flight.expected_duration)
             if stopped():
-                record.events([Event(float(truth.t[-1]), "warning", "flight", "stopped by the user")])
+                record.events([Event(t, "warning", "flight", "stopped by the user")])
                 break
-            record.flush_before(float(truth.t[-1]))
+            if due:
+                record.flush()
+                log.advance(t)
+        for chain in chains:
+            _listen(chain, record, flight, scenario.pilot_attitude)
         record.events(flight.take_events())
         record.flush()
     if flight.error:
         raise FlightError(f"{scenario.where}: {flight.error}; the log is complete up to there: {output}")
+
+
+def _listen(chain: Chain, record: "_Recorder", flight: Flight, pilot: str) -> None:
+    """What was flown since the last call through the sensors and estimators of a chain."""
+    if not chain.waiting:
+        return
+    block = chain.suite.process(Truth.concatenate(chain.waiting))
+    chain.waiting.clear()
+    for instrument, sent in block.items():
+        record.add(record.log.record, sent, chain.suite.name, instrument)
+    samples = chain.assembler.process(block)
+    for name, estimator in chain.estimators.items():
+        estimates = estimator.process(samples)
+        record.add(record.log.estimates, estimates, name)
+        if name == pilot:
+            _feed_back(flight, estimates, samples.gyro_b)
+    record.events(chain.suite.take_events())
 
 
 class _Recorder:
@@ -127,11 +145,11 @@ class _Recorder:
     def events(self, events: list[Event]) -> None:
         self.event_list.extend(events)
 
-    def flush_before(self, t: float) -> None:
-        if t - self.flushed_to >= BLOCK_S:
-            self.flush()
-            self.log.advance(t)
-            self.flushed_to = t
+    def due(self, t: float) -> bool:
+        """Is it time to write? Says so once every `BLOCK_S`."""
+        due = t - self.flushed_to >= BLOCK_S
+        self.flushed_to = t if due else self.flushed_to
+        return due
 
     def flush(self) -> None:
         for (write, *key), blocks in self.waiting.items():
@@ -141,19 +159,18 @@ class _Recorder:
         self.event_list = []
 
 
-def _site(scenario: Scenario) -> Site:
-    start = scenario.start
-    lla = np.array([[start.latitude, start.longitude, start.altitude]])
+def _site(scenario: Scenario, flight: Flight) -> Site:
+    latitude, longitude, height = map(float, flight.start_lla)
     return Site(
-        lla=(start.latitude, start.longitude, start.altitude),
-        gravity=float(gravity.normal_gravity(lla)[0]),
-        mag_n=tuple(magnetic.field_n(lla, scenario.epoch)[0]),
+        lla=(latitude, longitude, height),
+        gravity=float(gravity.normal_gravity(flight.start_lla)),
+        mag_n=tuple(magnetic.field_n(flight.start_lla[None], scenario.epoch)[0]),
     )
 
 
 def _chains(scenario: Scenario, site: Site, flight: Flight) -> list[Chain]:
     chains = []
-    faults = _by_suite(scenario)
+    check_suites(scenario.faults, [s.name for s in scenario.suites])
     for component in scenario.suites:
         suite = make_suite(
             component,
@@ -161,20 +178,13 @@ def _chains(scenario: Scenario, site: Site, flight: Flight) -> list[Chain]:
             dt=flight.dt,
             epoch=scenario.epoch,
             start_lla=np.array(site.lla),
-            faults=faults[component.name],
+            faults=scenario.faults,
         )
         listening = {
             e.name: _estimator(e, site, suite) for e in scenario.estimators if e.settings["suite"] == suite.name
         }
         chains.append(Chain(suite, Assembler(), listening))
     return chains
-
-
-def _by_suite(scenario: Scenario) -> dict[str, list[Component]]:
-    faults: dict[str, list[Component]] = {s.name: [] for s in scenario.suites}
-    for fault in scenario.faults:
-        faults[fault.table().choice("suite", list(faults))].append(fault)
-    return faults
 
 
 def _estimator(component: Component, site: Site, suite: Suite) -> estimators.Estimator:

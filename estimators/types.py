@@ -4,6 +4,8 @@ Frames: navigation n = local NED, body b = FRD, quaternion `q_nb` scalar first, 
 radians. Missing data are NaN, never zero.
 """
 
+
+
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -28,17 +30,17 @@ class Columns:
     SHAPES: ClassVar[dict[str, tuple[int, ...]]] = {}
 
     def __len__(self) -> int:
-        return len(getattr(self, dataclasses.fields(self)[0].name))
+        return len(getattr(self, self.__match_args__[0]))
 
     def __getitem__(self, rows: slice) -> Self:
-        return type(self)(*(getattr(self, f.name)[rows] for f in dataclasses.fields(self)))
+        return type(self)(*[getattr(self, name)[rows] for name in self.__match_args__])
 
     @classmethod
     def concatenate(cls, blocks: Sequence[Self]) -> Self:
         """One block of all rows of `blocks` (at least one) in order."""
         if len(blocks) == 1:
             return blocks[0]
-        return cls(*(np.concatenate([getattr(b, f.name) for b in blocks]) for f in dataclasses.fields(cls)))
+        return cls(*[np.concatenate([getattr(b, name) for b in blocks]) for name in cls.__match_args__])
 
 
 def column(*shape: int, dtype: type = float) -> np.ndarray:
