@@ -43,6 +43,7 @@
   const columns = (refs) => (refs ? refs.map(series) : null);
   const derived = (s, f) => s && { t0: s.t0, dt: s.dt, v: s.v.map(f) };
   const sum = (a, b) => a && b && { t0: a.t0, dt: a.dt, v: a.v.map((x, i) => x + b.v[i]) };
+  const circular = (s) => s && { ...s, circular: true }; // jumps by a turn where it wraps: not to be drawn
   const constant = (y) => ({ at: () => y, dt: Infinity });
   const steps = (list) => ({ // of runs [from, to, value]
     dt: 0.25,
@@ -75,7 +76,10 @@
   function sampled(s, { x, bucket }) {
     const out = new Array(x.length);
     if (!s.v || s.dt * 2 > bucket) {
-      for (let i = 0; i < x.length; i++) { const y = valueAt(s, x[i]); out[i] = Number.isFinite(y) ? y : null; }
+      for (let i = 0; i < x.length; i++) {
+        const y = valueAt(s, x[i]);
+        out[i] = Number.isFinite(y) && !(s.circular && i && out[i - 1] !== null && Math.abs(y - out[i - 1]) > 180) ? y : null;
+      }
       return out;
     }
     for (let i = 0; i < x.length; i += 2) {
@@ -86,7 +90,7 @@
         if (y < low) { low = y; lowAt = k; }
         if (y > high) { high = y; highAt = k; }
       }
-      if (low > high) out[i] = out[i + 1] = null;
+      if (low > high || (s.circular && high - low > 180)) out[i] = out[i + 1] = null;
       else if (lowAt <= highAt) { out[i] = low; out[i + 1] = high; } else { out[i] = high; out[i + 1] = low; }
     }
     return out;
@@ -101,7 +105,7 @@
     e.color = () => (root.dataset.theme === "dark" ? DARK : LIGHT)[i % LIGHT.length];
     e.shown = i < 10;
     e.part = (name) => columns(e[name]);
-    e.attitude = [0, 1, 2].map((k) => { let made; return () => (made ??= sum(series(e.run.truth.attitude[k]), series(e.error[k]))); });
+    e.attitude = [0, 1, 2].map((k) => { let made; return () => (made ??= k === 2 ? circular(sum(series(e.run.truth.attitude[k]), series(e.error[k]))) : sum(series(e.run.truth.attitude[k]), series(e.error[k]))); });
   });
   const from = Math.min(...data.runs.map((r) => r.from)), to = Math.max(...data.runs.map((r) => r.to));
   let focus = estimators[0], now = from, view = [from, to], playing = false;
@@ -110,7 +114,7 @@
   const banded = (e) => $("bands").checked && (e === focus || shown().length <= 4);
   const wrapped = (x) => ((x % 360) + 540) % 360 - 180;
   const compass = (x) => ((x % 360) + 360) % 360;
-  const digits = (x) => (x == null || !Number.isFinite(x) ? "–" : Math.abs(x) >= 99.95 ? x.toFixed(0) : Math.abs(x) >= 9.995 ? x.toFixed(1) : Math.abs(x) >= 0.0995 ? x.toFixed(2) : x.toPrecision(2));
+  const digits = (x) => (x == null || !Number.isFinite(x) ? "–" : Math.abs(x) >= 1e5 ? x.toExponential(1).replace("e+", "e") : Math.abs(x) >= 99.95 ? x.toFixed(0) : Math.abs(x) >= 9.995 ? x.toFixed(1) : Math.abs(x) >= 0.0995 ? x.toFixed(2) : x.toPrecision(2));
   const zoomed = () => view[0] > from || view[1] < to;
   const clampView = (a, b) => {
     a = Math.max(from, a); b = Math.min(to, b);
@@ -174,6 +178,7 @@
         bands: bands.map((l, i) => ({ series: [1 + this.drawn.length + 2 * i, 2 + this.drawn.length + 2 * i], fill: l.color })),
         hooks: {
           drawClear: [(u) => shade(u)],
+          ready: [() => setTimeout(() => this.point())],
           setCursor: [(u) => { if (!moving && u.cursor.left >= 0 && u.cursor.event) setNow(u.posToVal(u.cursor.left, "x")); }],
           setSelect: [(u) => {
             if (u.select.width < 4) return;
@@ -183,7 +188,7 @@
         },
       };
       this.u = new uPlot(opts, [g.x, ...all.map((s) => sampled(s, g))], this.box);
-      this.point();
+      this.caption();
     }
 
     point() {
@@ -356,7 +361,7 @@
     const truth = [0, 1, 2].map((k) => valueAt(truthOf(k), now)), estimate = [0, 1, 2].map((k) => valueAt(focus.attitude[k](), now));
     if (!truth.every(Number.isFinite)) return;
     // Seen from behind, the right and above, turning along with the true heading.
-    const azimuth = (truth[2] + 28) * Math.PI / 180, tilt = 18 * Math.PI / 180, size = Math.min(w, h * 1.5) * 0.25;
+    const azimuth = (truth[2] + 28) * Math.PI / 180, tilt = 10 * Math.PI / 180, size = Math.min(w, h * 1.5) * 0.25;
     const project = ([n, e, d]) => {
       const ahead = n * Math.cos(azimuth) + e * Math.sin(azimuth), right = -n * Math.sin(azimuth) + e * Math.cos(azimuth);
       const depth = ahead * Math.cos(tilt) + d * Math.sin(tilt), up = ahead * Math.sin(tilt) - d * Math.cos(tilt), near = 7 / (7 + depth);
@@ -413,32 +418,32 @@
 
   function verdict(e) {
     const { nees, inside } = e.summary;
-    if (nees == null) return element("span", { className: "badge", textContent: "no sigma" });
+    if (nees == null) return element("span", { className: "badge", textContent: "not given" });
     if (nees > 3) return element("span", { className: `badge ${nees > 30 ? "bad" : "warn"}`, textContent: `overconfident ×${digits(Math.sqrt(nees))}` });
     if (nees < 0.2 && inside > 0.99) return element("span", { className: "badge", textContent: "cautious" });
     return element("span", { className: "badge good", textContent: "consistent" });
   }
 
   function summary() {
-    const measures = ["tilt", "heading", "roll", "pitch", "total"], kinds = ["rmse", "p95", "max"];
+    const measures = ["tilt", "heading", "roll", "pitch"], kinds = ["rmse", "p95", "max"];
     const best = (key) => Math.min(...estimators.map((e) => e.summary[key] ?? Infinity));
     const head = element("thead", {},
-      element("tr", {}, element("th"), ...measures.map((m) => element("th", { className: "group", colSpan: 3, textContent: m })), element("th", { colSpan: 5 })),
-      element("tr", {}, element("th", { textContent: campaign ? "estimator (medians)" : "estimator" }),
+      element("tr", {}, element("th", { className: "group" }), element("th", { className: "group" }), ...measures.map((m) => element("th", { className: "group", colSpan: 3, textContent: m })), element("th", { className: "group", colSpan: 4 })),
+      element("tr", {}, element("th", { textContent: campaign ? "estimator (medians)" : "estimator" }), element("th", { className: "l", textContent: "its sigma is" }),
         ...measures.flatMap(() => kinds.map((k, i) => element("th", { textContent: k, className: i ? "" : "gap" }))),
-        ...["available", "NEES", "NIS", "within 3σ", ""].map((k) => element("th", { textContent: k }))));
+        ...["within 3σ", "NEES", "NIS", "available"].map((k) => element("th", { textContent: k }))));
     const percent = (x) => (x == null ? "–" : `${(100 * x).toFixed(x > 0.995 && x < 1 ? 1 : 0)} %`);
     const body = element("tbody");
     for (const e of estimators) {
       const s = e.summary;
-      body.append(element("tr", { className: "first" }, name(e),
+      body.append(element("tr", { className: "first" }, name(e), element("td", { className: "l" }, verdict(e)),
         ...measures.flatMap((m) => kinds.map((k, i) => {
           const key = `${m}_${k}_deg`;
           return element("td", { textContent: digits(s[key]), className: (i ? "" : "gap ") + (s[key] != null && s[key] <= best(key) && estimators.length > 1 ? "best" : "") });
         })),
-        element("td", { textContent: percent(s.available) }), element("td", { textContent: digits(s.nees) }), element("td", { textContent: digits(s.nis) }),
-        element("td", { textContent: percent(s.inside) }), element("td", {}, verdict(e))));
-      const say = element("td", { colSpan: 21 }, e.finding + " ");
+        element("td", { textContent: percent(s.inside) }), element("td", { textContent: digits(s.nees) }), element("td", { textContent: digits(s.nis) }),
+        element("td", { textContent: percent(s.available) })));
+      const say = element("td", { colSpan: 18 }, e.finding + " ");
       if (e.worst) {
         const link = element("button", { className: "link", textContent: "show" });
         link.onclick = () => { choose(e); setView(e.worst.from - 10, e.worst.to + 10); setNow(e.worst.from); $("errors").scrollIntoView({ behavior: "smooth" }); };
@@ -499,6 +504,10 @@
       dot.style.background = e.color();
       button.onclick = () => { e.shown = !e.shown; legend(); redraw(); track(); };
       return button;
+    }), element("span", { className: "grow" }), ...data.phases.map((phase, i) => {
+      const dot = element("span", { className: "dot" });
+      dot.style.background = css(`--s${i}`);
+      return element("span", { className: "note" }, dot, phase);
     }));
   }
 
@@ -525,7 +534,7 @@
     for (let k = 0; k < 3; k++) {
       new Plot($("errors"), {
         title: `${AXES[k]} error`, unit: "deg", height: 190, ticks: degrees,
-        lines: () => shown().map((e) => ({ label: e.label, color: e.color(), s: series(e.error[k]), width: e === focus ? 1.6 : 1.1 })),
+        lines: () => shown().map((e) => ({ label: e.label, color: e.color(), s: k === 1 ? series(e.error[k]) : circular(series(e.error[k])), width: e === focus ? 1.6 : 1.1 })),
         bands: () => shown().filter((e) => campaign || banded(e)).map((e) => {
           if (campaign) return { low: series(e.low[k]), high: series(e.high[k]), color: shadowed(e.color()) };
           const sigma = e.part("sigma")?.[k];
