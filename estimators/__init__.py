@@ -5,9 +5,9 @@
     estimator = estimators.create("marg-ckf", site=site, sensors=sensors)
     estimates = estimator.process(samples)          # blocks of any length, one row for each row
 
-Conventions, everywhere: navigation frame n = local north-east-down, body frame b = forward-right-down; `q_nb` turns body
-into navigation vectors, scalar first, Hamilton; `C_bn` maps navigation to body vectors; specific force of a body at rest
-is `C_bn (0, 0, -g)`; true heading; SI and radians; missing is NaN.
+Conventions, everywhere: navigation frame n = local north-east-down, body frame b = forward-right-down; `q_nb` turns
+body into navigation vectors, scalar first, Hamilton; `C_bn` maps navigation to body vectors; specific force of a body
+at rest is `C_bn (0, 0, -g)`; true heading; SI and radians; missing is NaN.
 
 Layers: `rotations` and `linalg` (one equation per kernel), `filters` (how to estimate), `models` (what to estimate),
 `run` (the loop over rows), `alignment`, `catalogue` (named combinations). Importing this package compiles nothing.
@@ -29,8 +29,8 @@ _HOME = {
 }  # fmt: skip
 
 __all__ = [
-    "EstimationError", "Estimates", "Estimator", "SampleError", "Samples", "SensorInfo", "SettingError", "Site", "Status",
-    "create", "describe", "names",
+    "EstimationError", "Estimates", "Estimator", "SampleError", "Samples", "SensorInfo", "SettingError", "Site",
+    "Status", "create", "describe", "names",
 ]  # fmt: skip
 
 

@@ -1,10 +1,11 @@
 """Initial attitude, gyro bias and sensor noise from a stationary stretch.
 
-Second by second the stretch is judged: still when gyro and accelerometer scatter no more than their noise explains, the gyro's mean could be
-its bias and the accelerometer's mean gravity. `align_s` still seconds in a row give the alignment: attitude by TRIAD from mean
-specific force and mean field (down exactly, heading from the field), bias from the mean rate, noise covariances from the scatter. A second
-that is not still starts the stretch again. Without stillness the alignment is coarse, from the means of the last second, with a
-large covariance: after `MOVING_S` when no second was still (started in the air), after `wait_s` in any case.
+Second by second the stretch is judged: still when gyro and accelerometer scatter no more than their noise explains, the
+gyro's mean could be its bias and the accelerometer's mean gravity. `align_s` still seconds in a row give the alignment:
+attitude by TRIAD from mean specific force and mean field (down exactly, heading from the field), bias from the mean
+rate, noise covariances from the scatter. A second that is not still starts the stretch again. Without stillness the
+alignment is coarse, from the means of the last second, with a large covariance: after `MOVING_S` when no second was
+still (started in the air), after `wait_s` in any case.
 """
 
 import math
@@ -14,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimators.jit import njit
+from estimators.models.base import MAX_FIELD, MAX_FORCE, MAX_RATE, plausible
 from estimators.rotations import attitude_matrix, from_euler, triad
 from estimators.rows import ACCEL, GYRO, MAG, MAG_NEW, T
 from estimators.types import SensorInfo, Site
@@ -59,7 +61,7 @@ class Stretch(NamedTuple):
     clock: (
         np.ndarray
     )  # s: first stamp of all, start of stretch, start of second, last stamp; 1.0 once a second was still
-    count: np.ndarray  # samples in stretch: IMU, magnetometer; in second: IMU, magnetometer
+    counts: np.ndarray  # samples in stretch: IMU, magnetometer; in second: IMU, magnetometer
     mean: np.ndarray  # (2, 9) gyro, accelerometer, magnetometer; of stretch, of second
     spread: np.ndarray  # (2, 9, 3) sums of products of deviations, a 3x3 block each
 
@@ -88,7 +90,7 @@ def _add(s: Stretch, which: int, sensor: int, n: float, row: np.ndarray, at: int
 
 @njit
 def _clear(s: Stretch, which: int) -> None:
-    s.count[2 * which] = s.count[2 * which + 1] = 0.0
+    s.counts[2 * which] = s.counts[2 * which + 1] = 0.0
     for i in range(9):
         s.mean[which, i] = 0.0
         for j in range(3):
@@ -97,7 +99,7 @@ def _clear(s: Stretch, which: int) -> None:
 
 @njit
 def _second_is_still(s: Stretch, gyro_limit: float, accel_limit: float, gravity: float) -> bool:
-    n = s.count[2]
+    n = s.counts[2]
     if n < 2.0:
         return False
     norm2 = 0.0
@@ -115,7 +117,7 @@ def align(
     s: Stretch, rows: np.ndarray, align_s: float, wait_s: float, gyro_limit: float, accel_limit: float, gravity: float
 ) -> tuple[int, int]:
     """Take rows until aligned: the number of rows taken and ALIGNING, STILL or COARSE."""
-    clock, count = s.clock, s.count
+    clock, count = s.clock, s.counts
     for k in range(rows.shape[0]):
         row = rows[k]
         t = row[T]
@@ -140,10 +142,10 @@ def align(
             clock[SECOND] = t
         finite = True
         for i in range(3):
-            finite &= math.isfinite(row[GYRO + i]) and math.isfinite(row[ACCEL + i])
+            finite &= plausible(row[GYRO + i], MAX_RATE) and plausible(row[ACCEL + i], MAX_FORCE)
         mag = row[MAG_NEW] != 0.0
         for i in range(3):
-            mag &= math.isfinite(row[MAG + i])
+            mag &= plausible(row[MAG + i], MAX_FIELD)
         for which in range(2):
             if finite:
                 count[2 * which] += 1.0
@@ -165,7 +167,7 @@ def limits(sensors: SensorInfo) -> tuple[float, float]:
 def conclude(s: Stretch, still: bool, site: Site, sensors: SensorInfo) -> Alignment:
     """The alignment from what `align` has gathered: the whole stretch when still, else the last second."""
     which = 0 if still else 1
-    samples, fields = s.count[2 * which], s.count[2 * which + 1]
+    samples, fields = s.counts[2 * which], s.counts[2 * which + 1]
     rate, force, field = s.mean[which, 0:3], s.mean[which, 3:6], s.mean[which, 6:9]
     mag_n = np.array(site.mag_n, float)
     q_nb = np.array([1.0, 0.0, 0.0, 0.0])
@@ -202,7 +204,7 @@ def conclude(s: Stretch, still: bool, site: Site, sensors: SensorInfo) -> Alignm
 
 
 def attitude_block(alignment: Alignment) -> np.ndarray:
-    """(4, 4) covariance of the elements of q_nb that belongs to `sigma_n`: rank three, `P = 1/4 X C_bn s^2 C_nb X^T`."""
+    """(4, 4) covariance of the elements of q_nb that belongs to `sigma_n`, rank three: `1/4 X C_bn s^2 C_nb X^T`."""
     a, b, c, d = alignment.q_nb
     C_bn = np.empty((3, 3))
     attitude_matrix(alignment.q_nb, C_bn)

@@ -3,8 +3,9 @@
     estimator = create("marg-ckf", site=site, sensors=sensors, aiding="airspeed")
     estimates = estimator.process(samples)
 
-A class of your own joins as `create("package.module:Class")` or under a name of the entry-point group `ahrs_sim.estimators`;
-it is made with `Class(site=..., sensors=..., **settings)` and needs a method `process(samples) -> Estimates`.
+A class of your own joins as `create("package.module:Class")` or under a name of the entry-point group
+`ahrs_sim.estimators`; it is made with `Class(site=..., sensors=..., **settings)` and needs a method `process(samples)
+-> Estimates`.
 """
 
 import importlib

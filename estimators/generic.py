@@ -1,8 +1,8 @@
 """Functions that are chosen by the type of their first argument, in compiled code and in plain Python alike.
 
 A filter is written once and calls `propagate(model, ...)`; each model type supplies its own. A function or closure as
-argument would be compiled again in every process; a `NamedTuple` type is not, so a filter is compiled once per model and
-then loaded from the disk cache.
+argument would be compiled again in every process; a `NamedTuple` type is not, so a filter is compiled once per model
+and then loaded from the disk cache.
 
     @generic
     def propagate(model, x, u, dt, out): ...
@@ -39,9 +39,10 @@ def generic(function: Callable[..., Any]) -> Callable[..., Any]:
     def dispatch(*args: Any) -> Any:
         return _find(type(args[0]), name)(*args)
 
-    for wrapper in (choose, dispatch):
+    wrappers: tuple[Any, Any] = (choose, dispatch)
+    for wrapper in wrappers:
         wrapper.__name__ = name
-        wrapper.__signature__ = inspect.signature(function)  # type: ignore[attr-defined]
+        wrapper.__signature__ = inspect.signature(function)
     dispatch.__doc__ = function.__doc__
     dispatch.__module__ = function.__module__
     overload(dispatch, jit_options={"error_model": "numpy", "forceinline": True})(choose)

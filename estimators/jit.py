@@ -38,12 +38,15 @@ def compiler(*packages: Path) -> Callable[..., Any]:
 
     def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         def decorate(function: Callable[..., Any]) -> Any:
-            before = numba.config.CACHE_DIR
-            numba.config.CACHE_DIR = folder
+            config: Any = numba.config
+            before = config.CACHE_DIR
+            config.CACHE_DIR = folder
             try:
-                return numba.njit(cache=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+                # Nobody takes these kernels as C callbacks; the wrapper would cost compile time.
+                chosen: Any = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True, **options}
+                return numba.njit(**chosen)(function)
             finally:
-                numba.config.CACHE_DIR = before
+                config.CACHE_DIR = before
 
         return decorate(function) if function is not None else decorate
 

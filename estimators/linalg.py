@@ -51,7 +51,8 @@ def condition(
 
     The Kalman update of any filter (paper 000 eq. (13)-(15)) without forming a gain or an inverse: each pass conditions
     states and later measurements on measurement k, so what is left of `residual` are independent innovations and
-    the pivots are their variances. A measurement that is not used is left out, which is exact. P stays exactly symmetric.
+    the pivots are their variances. A measurement that is not used is left out, which is exact. P stays exactly
+    symmetric.
 
     Args:
         n: number of states.
@@ -99,7 +100,7 @@ def condition(
 
 @njit
 def healthy(x: np.ndarray, P: np.ndarray) -> bool:
-    """Are all states finite and all variances finite and positive?"""
+    """Whether all states are finite and all variances finite and positive."""
     total = 0.0
     for i in range(x.shape[0]):
         total += x[i] * 0.0  # NaN when any is infinite or NaN

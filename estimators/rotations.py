@@ -1,8 +1,8 @@
 """Rotations: one equation per kernel.
 
-Quaternions are scalar first, Hamilton; `q_nb` turns body into navigation vectors: `v_n = q_nb v_b q_nb*`, `C_bn(q_nb)` is
-the matrix that maps a navigation vector to body axes. Rotation vectors are in rad. Kernels write to their last argument,
-which must not be one of the others.
+Quaternions are scalar first, Hamilton; `q_nb` turns body into navigation vectors: `v_n = q_nb v_b q_nb*`, `C_bn(q_nb)`
+is the matrix that maps a navigation vector to body axes. Rotation vectors are in rad. Kernels write to their last
+argument, which must not be one of the others.
 """
 
 import math
@@ -67,8 +67,9 @@ def rotation_between(p: np.ndarray, q: np.ndarray, out: np.ndarray) -> None:
 
 @njit
 def normalise(q: np.ndarray) -> None:
-    """`q / |q|` in place, of the first four elements."""
-    scale = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    """`q / |q|` in place, of the first four elements; NaN when there is no direction left (0 or overflow)."""
+    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    scale = 1.0 / norm if 0.0 < norm < math.inf else math.nan
     for i in range(4):
         q[i] *= scale
 
@@ -174,8 +175,7 @@ def from_euler(roll: float, pitch: float, yaw: float, out: np.ndarray) -> None:
 @njit
 def wrap(angle: float) -> float:
     """`angle` in (-pi, pi]."""
-    wrapped = math.fmod(angle + math.pi, 2.0 * math.pi)
-    return wrapped + math.pi if wrapped <= 0.0 else wrapped - math.pi
+    return math.pi - (math.pi - angle) % (2.0 * math.pi)
 
 
 @njit

@@ -1,7 +1,7 @@
 """Samples and estimates as one row of numbers each, as the kernels take them.
 
-One array instead of some thirty keeps calls and compilation fast. The offsets follow the fields of `Samples` and `Estimates`
-in order; a mask is 0 or 1 there, and the status of an estimate travels beside its row.
+One array instead of some thirty keeps calls and compilation fast. The offsets follow the fields of `Samples` and
+`Estimates` in order; a mask is 0 or 1 there, and the status of an estimate travels beside its row.
 """
 
 import dataclasses

@@ -1,7 +1,7 @@
 """The estimation loop: row by row through a block, the same for every filter and model.
 
-Time stamps decide: dt is their difference, never a nominal rate. A row whose stamp repeats or goes back is left out (the estimate
-stays, status COASTING); a gap is bridged by prediction in steps of at most `MAX_STEP`.
+Time stamps decide: dt is their difference, never a nominal rate. A row whose stamp repeats or goes back is left out
+(the estimate stays, status COASTING); a gap is bridged by prediction in steps of at most `MAX_STEP`.
 """
 
 import math
@@ -48,7 +48,7 @@ class Carry(NamedTuple):
 
 @njit
 def first_bad_stamp(rows: np.ndarray, last: float) -> int:
-    """Index of the first row whose stamp is not finite or jumps back by more than `BACKWARDS`, -1 when there is none."""
+    """Index of the first row whose stamp is not finite or jumps back more than `BACKWARDS`; -1 when there is none."""
     latest = last
     for k in range(rows.shape[0]):
         t = rows[k, T]
@@ -127,7 +127,7 @@ def run(
         state = load(model, row, x, memory, u, z, used)
         steps = 1 if dt <= MAX_STEP else 0  # none at the first row of all, where dt is NaN
         if dt > MAX_STEP:
-            steps = min(MAX_STEPS, int(math.ceil(dt / MAX_STEP)))
+            steps = min(MAX_STEPS, math.ceil(dt / MAX_STEP))
             state = _COASTING
         ok = True
         for _ in range(steps):

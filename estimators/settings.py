@@ -65,7 +65,10 @@ def checked(where: str, known: Mapping[str, Setting], given: Mapping[str, Any]) 
     for name in given:
         if name not in known:
             raise SettingError(f"{where}: unknown setting '{name}'{nearest(name, known)}")
-    return {name: setting.check(f"{where}: {name}", given[name]) if name in given else setting.default for name, setting in known.items()}  # fmt: skip
+    return {
+        name: setting.check(f"{where}: {name}", given[name]) if name in given else setting.default
+        for name, setting in known.items()
+    }
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

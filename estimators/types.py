@@ -4,8 +4,6 @@ Frames: navigation n = local NED, body b = FRD, quaternion `q_nb` scalar first, 
 radians. Missing data are NaN, never zero.
 """
 
-
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -27,7 +25,7 @@ class Columns:
     `block[a:b]` slices all columns, `len(block)` counts rows, `concatenate` joins blocks.
     """
 
-    SHAPES: ClassVar[dict[str, tuple[int, ...]]] = {}
+    __match_args__: ClassVar[tuple[str, ...]]  # the names of the columns, made by `dataclass`
 
     def __len__(self) -> int:
         return len(getattr(self, self.__match_args__[0]))

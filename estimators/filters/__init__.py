@@ -1,0 +1,1 @@
+"""How to estimate: one short file per filter, generic over models (see `base`)."""

@@ -1,7 +1,7 @@
 """What a filter supplies: how a mean and a covariance go through a nonlinear function.
 
-A filter is a `NamedTuple` of its parameters with `predict` and `project` registered for its type. All else (measurement noise,
-adaptation, conditioning, recovery) is the same for every filter and lives in `estimators.run`.
+A filter is a `NamedTuple` of its parameters with `predict` and `project` registered for its type. All else (measurement
+noise, adaptation, conditioning, recovery) is the same for every filter and lives in `estimators.run`.
 """
 
 from typing import Any, NamedTuple
@@ -46,20 +46,24 @@ class Work(NamedTuple):
             return np.zeros(shape)
 
         return cls(
-            x=zeros(raw), point=zeros(raw), moved=zeros(raw), dx=zeros(n), L=zeros(n, columns), odd=zeros(columns, rows),
-            even=zeros(columns, rows), shift=zeros(rows), plus=zeros(rows), minus=zeros(rows), J=zeros(rows, n),
-            T=zeros(rows, n), S=zeros(rows, rows), C=zeros(rows, n), y=zeros(rows), measured=zeros(rows), residual=zeros(rows),
-            variance=zeros(rows), used=np.zeros(rows, bool),
+            x=zeros(raw), point=zeros(raw), moved=zeros(raw), dx=zeros(n), L=zeros(n, columns),
+            odd=zeros(columns, rows), even=zeros(columns, rows), shift=zeros(rows), plus=zeros(rows), minus=zeros(rows),
+            J=zeros(rows, n), T=zeros(rows, n), S=zeros(rows, rows), C=zeros(rows, n), y=zeros(rows),
+            measured=zeros(rows), residual=zeros(rows), variance=zeros(rows), used=np.zeros(rows, bool),
         )  # fmt: skip
 
 
 @generic
-def predict(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarray, dt: float, work: Work) -> bool:  # type: ignore[empty-body]  # fmt: skip
+def predict(  # type: ignore[empty-body]
+    method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarray, dt: float, work: Work
+) -> bool:
     """Move x and P by dt seconds, process noise included; False when P is not positive."""
 
 
 @generic
-def project(method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work) -> bool:  # type: ignore[empty-body]  # fmt: skip
+def project(  # type: ignore[empty-body]
+    method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work
+) -> bool:
     """Joint moments of a measurement group and the state, without measurement noise.
 
     `work.y[:rows]` mean, `work.S[:rows, :rows]` covariance (lower half), `work.C[:rows]` covariance with the state.

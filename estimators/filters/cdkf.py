@@ -1,6 +1,7 @@
 """Central difference Kalman filter, second order (DD2: Norgaard, Poulsen and Ravn 2000; paper 000, ref. [3]).
 
-2n+1 points at the interval h (sqrt(3) is best for a Gaussian), from Stirling's interpolation; with the pairs of `points`:
+2n+1 points at the interval h (sqrt(3) is best for a Gaussian), from Stirling's interpolation; with the pairs of
+`points`:
 
     mean        w0 f(0) + sum wi (f(+) + f(-)),  w0 = (h^2-n)/h^2, wi = 1/(2h^2)   = f(0) + sum s_i/(2h^2)
     covariance  sum d_i d_i^T/(4 h^2) + (h^2-1)/(4 h^4) s_i s_i^T

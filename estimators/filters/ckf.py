@@ -1,6 +1,7 @@
 """Cubature Kalman filter (Arasaratnam and Haykin 2009; paper 000 eq. (2)-(15)).
 
-2n points `x +- sqrt(n) S e_i` of equal weight 1/(2n), no parameter. With the pairs of `points`, h^2 = n and `f(+-) = f(0) + (s_i +- d_i)/2`:
+2n points `x +- sqrt(n) S e_i` of equal weight 1/(2n), no parameter. With the pairs of `points`, h^2 = n and `f(+-) =
+f(0) + (s_i +- d_i)/2`:
 
     mean        1/(2n) sum f(+-)                  = f(0) + sum s_i/(2n)                      eq. (5)
     covariance  1/(2n) sum f(+-) f(+-)^T - mean^2 = sum (d_i d_i^T + s_i s_i^T)/(4n) - delta delta^T     eq. (6)

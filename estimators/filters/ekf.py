@@ -54,7 +54,9 @@ def _predict(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarra
 
 
 @njit(forceinline=True, no_cpython_wrapper=True)
-def project_linear(method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work) -> bool:  # fmt: skip
+def project_linear(
+    method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work
+) -> bool:
     """`y = h(x)`, `C = H P`, `S = H P H^T`: exact for a linear group, so every filter uses it there."""
     n, rows = size(model), model.groups[group, ROWS]
     first, end = model.groups[group, FROM], model.groups[group, READ]

@@ -1,6 +1,7 @@
 """Sigma points in symmetric pairs: the part that CKF, CDKF and UKF share.
 
-All three evaluate f at the mean and at `x +- h S e_i` (S the lower Cholesky factor of P) and differ only in how they weigh
+All three evaluate f at the mean and at `x +- h S e_i` (S the lower Cholesky factor of P) and differ only in how they
+weigh
 
     d_i = f(+) - f(-),   s_i = f(+) + f(-) - 2 f(0),   delta = sum_i s_i / (2 h^2) :
 
@@ -8,9 +9,9 @@ All three evaluate f at the mean and at `x +- h S e_i` (S the lower Cholesky fac
     covariance       sum_i [ d_i d_i^T / (4 h^2) + even s_i s_i^T ] + square delta delta^T
     cross covariance sum_i S e_i d_i^T / (2 h)
 
-(`h`, `even`, `square`) come from the filter's `rule`; each filter's file derives its own from its paper. A component that f does not
-read leaves d_i = s_i = 0, one that f passes on unchanged is reproduced exactly: so only the components that the model
-declares are evaluated. Differences are the model's own, so that states on a manifold need nothing more.
+(`h`, `even`, `square`) come from the filter's `rule`; each filter's file derives its own from its paper. A component
+that f does not read leaves d_i = s_i = 0, one that f passes on unchanged is reproduced exactly: so only the components
+that the model declares are evaluated. Differences are the model's own, so that states on a manifold need nothing more.
 """
 
 from typing import Any
@@ -71,7 +72,7 @@ def predict_points(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.
     n, moved, columns = size(model), changed(model), read(model)
     h, even, square = rule(method, n)
     L, d, s, shift, plus, minus, dx = work.L, work.odd, work.even, work.shift, work.plus, work.minus, work.dx
-    ok = leading_cholesky(n, P, columns, L)  # when it is not, the results are void; an early return costs time
+    ok: bool = leading_cholesky(n, P, columns, L)  # when it is not, the results are void; an early return costs time
     centre = work.x
     propagate(model, x, u, dt, centre)
     for a in range(moved):
@@ -116,18 +117,20 @@ def project_points(
 ) -> bool:
     """Measurement moments (paper 000 eq. (7)-(12)); a linear group needs no points."""
     if model.groups[group, LINEAR] == 1:
-        ok = project_linear(method, model, group, x, P, u, work)
+        ok: bool = project_linear(method, model, group, x, P, u, work)
     else:
         ok = _project_nonlinear(method, model, group, x, P, u, work)
     return ok
 
 
 @njit(forceinline=True, no_cpython_wrapper=True)
-def _project_nonlinear(method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work) -> bool:  # fmt: skip
+def _project_nonlinear(
+    method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work
+) -> bool:
     n, rows, columns = size(model), model.groups[group, ROWS], model.groups[group, READ]
     h, even, square = rule(method, n)
     L, d, s, shift, plus, minus, dx = work.L, work.odd, work.even, work.shift, work.plus, work.minus, work.dx
-    ok = leading_cholesky(n, P, columns, L)
+    ok: bool = leading_cholesky(n, P, columns, L)
     y, C = work.y, work.C
     observe(model, group, x, u, y)
     for a in range(rows):

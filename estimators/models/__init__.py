@@ -1,0 +1,1 @@
+"""What to estimate: one file per model, knowing nothing of filters (see `base`)."""

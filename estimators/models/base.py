@@ -1,13 +1,13 @@
 """What a model supplies to the filters.
 
-A model is a `NamedTuple` of parameters (every field an array or a float, and `groups`) with the functions below registered
-for its type. Its state `x` (raw) may be a manifold, such as a quaternion with other states: the filter then works on an
-error of `size` components that `retract` adds to x and `difference` finds between two states. For a plain vector
-both are the defaults, addition and subtraction, and `len(x) == size`.
+A model is a `NamedTuple` of parameters (every field an array or a float, and `groups`) with the functions below
+registered for its type. Its state `x` (raw) may be a manifold, such as a quaternion with other states: the filter then
+works on an error of `size` components that `retract` adds to x and `difference` finds between two states. For a plain
+vector both are the defaults, addition and subtraction, and `len(x) == size`.
 
-States are ordered so that what the nonlinear functions change and read comes first: `propagate` changes the first `changed`
-error components and reads the first `read`; the rest stay as they are. Filters use this, exactly. The three sizes are
-constants in compiled code, so loops over them are unrolled.
+States are ordered so that what the nonlinear functions change and read comes first: `propagate` changes the first
+`changed` error components and reads the first `read`; the rest stay as they are. Filters use this, exactly. The three
+sizes are constants in compiled code, so loops over them are unrolled.
 
 Measurements come in groups, processed one after the other. Row g of `groups` (int64) says of group g: `START` (its
 first row in z), `ROWS`, `FROM` and `READ` (it depends on the error components FROM to READ - 1), `LINEAR` (1 when the
@@ -42,8 +42,13 @@ def read(model: Any) -> int:  # type: ignore[empty-body]
 
 
 @generic
-def load(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray) -> int:  # type: ignore[empty-body]  # fmt: skip
-    """A row of samples (offsets: `estimators.rows`) into inputs u, measurements z and `used`; what must be kept lives in `memory`. A `Status`."""
+def load(  # type: ignore[empty-body]
+    model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray
+) -> int:
+    """A row of samples (see `estimators.rows`) into inputs u, measurements z and which are used; returns a `Status`.
+
+    What must be kept from row to row lives in `memory`.
+    """
 
 
 @generic
@@ -122,6 +127,15 @@ def _difference(model: Any, x: np.ndarray, origin: np.ndarray, out: np.ndarray) 
 @default
 def _constrain(model: Any, x: np.ndarray) -> None:
     pass
+
+
+MAX_RATE, MAX_FORCE, MAX_FIELD, MAX_SPEED = 100.0, 2000.0, 0.01, 2000.0  # rad/s, m/s2, T, m/s: beyond is no measurement
+
+
+@njit(forceinline=True)
+def plausible(value: float, limit: float) -> bool:
+    """Whether it is a number within the limit."""
+    return abs(value) < limit  # False for NaN
 
 
 @njit(forceinline=True)

@@ -5,13 +5,13 @@ State (10): `q_nb` (a, b, c, d), true body rate w (rad/s), gyro bias e (rad/s); 
     propagate   q <- q (x) exp_q(w dt),   w <- w + n_w,   e <- e + n_e            eq. (16), (20)
     observe     f_b = C_bn(q) G,   m_b = C_bn(q) M,   gyro = w + e                eq. (22)
 
-with G = (0, 0, -g), M the local field. The paper takes the accelerometer for a gravity sensor, which it is not in a turn; with
-`aiding` the known motion is added, f_b = C_bn(q) (G + a_n) + w x v_b + dv_b/dt:
+with G = (0, 0, -g), M the local field. The paper takes the accelerometer for a gravity sensor, which it is not in a
+turn; with `aiding` the known motion is added, f_b = C_bn(q) (G + a_n) + w x v_b + dv_b/dt:
 
     none       a_n = v_b = 0: the paper
-    airspeed   v_b = V (cos alpha cos beta, sin beta, sin alpha cos beta), V the true airspeed, vanes taken as 0 where there are none;
-               dV/dt from a first-order filter; below `speed_min` the wind on the ground reads as airspeed, so v_b = 0
-    gnss       a_n = difference of successive GNSS velocities, turned by the body rate from the middle of its interval to now
+    airspeed   v_b = V (cos alpha cos beta, sin beta, sin alpha cos beta), V the true airspeed, angles 0 where no vane
+               is fitted; dV/dt from a first-order filter; below `speed_min` it may be wind on the ground: v_b = 0
+    gnss       a_n = difference of successive GNSS velocities, turned by the body rate from its own time to now
 
 When the aid falls silent for `AID_TIMEOUT` the accelerometer's noise is raised by `unaided_factor` (status COASTING).
 """
@@ -25,7 +25,7 @@ import numpy as np
 from estimators.alignment import Alignment, Start, attitude_block
 from estimators.generic import register
 from estimators.jit import njit
-from estimators.models.base import report_attitude
+from estimators.models.base import MAX_FIELD, MAX_FORCE, MAX_RATE, MAX_SPEED, plausible, report_attitude
 from estimators.rotations import exp_terms, normalise, to_body, to_body_by_q, to_nav, turn
 from estimators.rows import (
     ACCEL,
@@ -181,20 +181,18 @@ def _constrain(model: Any, x: np.ndarray) -> None:
 def _load(
     model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray
 ) -> int:
-    t = row[T]
-    mag = row[MAG_NEW] != 0.0
-    accel = True
-    gyro = True
+    t, new = row[T], row[MAG_NEW] != 0.0
+    carried, mag = True, new  # by gyro and accelerometer; is the magnetometer there?
     for i in range(3):
         z[i], z[3 + i], z[6 + i] = row[ACCEL + i], row[MAG + i], row[GYRO + i]
-        accel &= math.isfinite(z[i])
-        mag &= math.isfinite(z[3 + i])
-        gyro &= math.isfinite(z[6 + i])
-    for i in range(3):
-        used[i], used[3 + i], used[6 + i] = accel, mag, gyro
+        used[i] = plausible(z[i], MAX_FORCE)
+        used[3 + i] = new and plausible(z[3 + i], MAX_FIELD)
+        used[6 + i] = plausible(z[6 + i], MAX_RATE)
+        carried &= used[i] and used[6 + i]
+        mag &= used[3 + i]
     if mag or not math.isfinite(memory[_MAG_T]):
         memory[_MAG_T] = t
-    status = _RUNNING if accel and gyro and t - memory[_MAG_T] <= MAG_TIMEOUT else _COASTING
+    status = _RUNNING if carried and t - memory[_MAG_T] <= MAG_TIMEOUT else _COASTING
     u[9] = 1.0
     if model.aiding == AIR:
         _load_air(model, row, memory, u)
@@ -211,7 +209,7 @@ def _load(
 @njit(forceinline=True, no_cpython_wrapper=True)
 def _load_air(model: Any, row: np.ndarray, memory: np.ndarray, u: np.ndarray) -> None:
     t = row[T]
-    if row[AIR_NEW] != 0.0 and math.isfinite(row[AIRSPEED]):
+    if row[AIR_NEW] != 0.0 and plausible(row[AIRSPEED], MAX_SPEED):
         speed, age = row[AIRSPEED], t - memory[_AID_T]
         if not age <= AID_TIMEOUT:
             memory[_V_SLOW] = speed
@@ -233,10 +231,10 @@ def _load_air(model: Any, row: np.ndarray, memory: np.ndarray, u: np.ndarray) ->
 
 @njit(forceinline=True, no_cpython_wrapper=True)
 def _load_gnss(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray) -> None:
-    if row[GNSS_NEW] != 0.0 and math.isfinite(row[GNSS_T] + row[VEL] + row[VEL + 1] + row[VEL + 2]):
+    if row[GNSS_NEW] != 0.0 and plausible(abs(row[VEL]) + abs(row[VEL + 1]) + abs(row[VEL + 2]), MAX_SPEED):
         valid = row[GNSS_T]
         age = valid - memory[_LAST_T]
-        if 0.0 < age <= AID_TIMEOUT:
+        if 0.0 < age <= AID_TIMEOUT:  # False when a stamp is NaN
             for i in range(3):
                 memory[_A + i] = (row[VEL + i] - memory[_LAST_VELOCITY + i]) / age
             memory[_A_T] = valid - 0.5 * age
