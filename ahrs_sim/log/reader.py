@@ -346,7 +346,7 @@ class LogReader:
         import pandas
 
         array = self.read(topic, start, end)
-        columns = dict(_flatten(array))
+        columns = dict(flatten(array))
         return pandas.DataFrame(
             columns, index=pandas.DatetimeIndex(columns.pop("log_time"), name="log_time"), copy=False
         )
@@ -893,16 +893,17 @@ def stamps(array: np.ndarray) -> np.ndarray:
     return nanoseconds
 
 
-def _flatten(array: np.ndarray, prefix: str = "") -> Iterator[tuple[str, np.ndarray]]:
+def flatten(array: np.ndarray, prefix: str = "") -> Iterator[tuple[str, np.ndarray]]:
+    """Name and values of every column of an array from `read`: `angular_velocity.x`, `innovation.0`."""
     for name in array.dtype.names or ():
         column = array[name]
         path = f"{prefix}{name}"
         if column.dtype.names:
             if column.ndim == 1:
-                yield from _flatten(column, f"{path}.")
+                yield from flatten(column, f"{path}.")
             else:
                 for i in range(column.shape[1]):
-                    yield from _flatten(column[:, i], f"{path}.{i}.")
+                    yield from flatten(column[:, i], f"{path}.{i}.")
         elif column.ndim == 1:
             yield path, column
         else:
