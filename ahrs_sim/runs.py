@@ -166,11 +166,11 @@ def dask_pool(address: str) -> Iterator[Pool]:
         InputError: Dask is not installed, or nothing answers at `address`.
     """
     try:
-        from distributed import Client
+        import distributed
     except ImportError:
         raise InputError("--scheduler needs Dask: pip install 'ahrs-sim[cluster]'") from None
     try:
-        client = Client(address, timeout="10s", set_as_default=False)
+        client: Any = distributed.Client(address, timeout="10s", set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         raise InputError(f"--scheduler {address}: no Dask scheduler there ({error}); start one") from None
     with client:
@@ -195,8 +195,8 @@ def warm_up(pool: Pool, runs: Iterable[Run]) -> None:
     Raises:
         InputError: a scenario, or an estimator's settings, cannot be flown at all.
     """
-    short = []
-    seen = set()
+    short: list[Run] = []
+    seen: set[str] = set()
     for run in runs:
         scenario = run.scenario()
         for estimator in scenario.estimators:
