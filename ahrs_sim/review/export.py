@@ -214,7 +214,7 @@ def export(path: Path, form: str, folder: Path, topics: Sequence[str] = ()) -> l
     Raises:
         InputError: not a log, an unknown topic, nothing to write, pyarrow missing, or a folder that cannot be used.
     """
-    ending, table = {"parquet": (".parquet", _ParquetTable), "csv": (".csv", _CsvTable)}[form]
+    table: type[_CsvTable] | type[_ParquetTable] = _ParquetTable if form == "parquet" else _CsvTable
     with LogReader(path) as log, ExitStack() as stack:
         chosen = list(topics) or [t.topic for t in log.topics.values() if t.count and t.encoding == "cdr"]
         tables: dict[str, _CsvTable | _ParquetTable] = {}
@@ -226,7 +226,7 @@ def export(path: Path, form: str, folder: Path, topics: Sequence[str] = ()) -> l
                     if not columns:
                         continue
                     if topic not in tables:
-                        output = folder / (re.sub(r"[^A-Za-z0-9.-]+", "_", topic).strip("_") + ending)
+                        output = folder / (re.sub(r"[^A-Za-z0-9.-]+", "_", topic).strip("_") + f".{form}")
                         tables[topic] = stack.enter_context(closing(table(log, topic, output)))
                     tables[topic].write({"t": _seconds(log, array), **columns})
         except OSError as error:

@@ -1,0 +1,164 @@
+"""`ahrs-sim compare LOG --png DIR`: the main figures of a flight for papers and the logs of a build."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ahrs_sim.errors import InputError
+from ahrs_sim.review import metrics
+from ahrs_sim.review.traces import EstimatorTrace, FlightTraces
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_AXES = metrics.MEASURES[:3]
+_POINTS = 2000  # pairs of minimum and maximum a curve: finer than any print
+
+
+def draw(flight: FlightTraces, folder: Path) -> list[Path]:
+    """Write attitude, errors, worst windows, ground track and biases as PNG files; returns them.
+
+    Raises:
+        InputError: matplotlib is missing, or the folder cannot be used.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise InputError("--png needs matplotlib; pip install 'ahrs-sim[plot]'") from None
+    figures = {
+        "attitude": _attitude(Figure((11, 8), layout="constrained"), flight),
+        "errors": _errors(Figure((11, 8), layout="constrained"), flight),
+        "worst": _worst(Figure((11, 2.2 * max(1, len(flight.estimators)) + 0.6), layout="constrained"), flight),
+        "track": _track(Figure((7, 7), layout="constrained"), flight),
+        "biases": _biases(Figure((11, 8), layout="constrained"), flight),
+    }
+    written = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, figure in figures.items():
+            written.append(folder / f"{flight.label}-{name}.png")
+            figure.savefig(written[-1], dpi=110)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    return written
+
+
+def _thin(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Minimum and maximum of every bucket, so that no peak is lost."""
+    size = len(t) // _POINTS
+    if size < 2:
+        return t, values
+    n = len(t) // size * size
+    boxes = values[:n].reshape(-1, size)
+    pairs = np.stack([np.fmin.reduce(boxes, axis=1), np.fmax.reduce(boxes, axis=1)], axis=1)
+    return np.repeat(t[:n:size], 2), pairs.ravel()
+
+
+def _continuous(t: np.ndarray, q_nb: np.ndarray) -> np.ndarray:
+    """Roll, pitch, heading (n, 3) in deg without jumps."""
+    angles = np.degrees(metrics.euler(q_nb))
+    angles[:, [0, 2]] = np.unwrap(angles[:, [0, 2]], period=360.0, axis=0)
+    return angles
+
+
+def _estimated(flight: FlightTraces, e: EstimatorTrace, rows: slice | np.ndarray) -> np.ndarray:
+    """Angles (n, 3) in deg of an estimator next to those of the reference, whatever the turns made."""
+    truth = _continuous(flight.t, flight.q_nb)
+    reference = np.column_stack([np.interp(e.t[rows], flight.t, truth[:, k]) for k in range(3)])
+    return np.asarray(reference + np.degrees(e.error[rows, :3]))
+
+
+def _attitude(figure: "Figure", flight: FlightTraces) -> "Figure":
+    axes = figure.subplots(3, 1, sharex=True)
+    truth = _continuous(flight.t, flight.q_nb)
+    for k, ax in enumerate(axes):
+        for e in flight.estimators.values():
+            ax.plot(*_thin(e.t, _estimated(flight, e, slice(None))[:, k]), linewidth=0.9, label=e.name)
+        ax.plot(*_thin(flight.t, truth[:, k]), "k--", linewidth=0.9, label=flight.reference)
+        _label(ax, f"{_AXES[k]}, deg")
+    return _finish(figure, axes, f"{flight.label}: attitude")
+
+
+def _errors(figure: "Figure", flight: FlightTraces) -> "Figure":
+    axes = figure.subplots(3, 1, sharex=True)
+    for k, ax in enumerate(axes):
+        for i, e in enumerate(flight.estimators.values()):
+            ax.plot(*_thin(e.t, np.degrees(e.error[:, k].astype(float))), color=f"C{i}", linewidth=0.9, label=e.name)
+            sigma = 3 * np.degrees(e.sigma[:, k])
+            ax.fill_between(e.coarse_t, -sigma, sigma, color=f"C{i}", alpha=0.15, linewidth=0)
+        _label(ax, f"{_AXES[k]} error, deg")
+    return _finish(figure, axes, f"{flight.label}: errors, shaded ±3 sigma of the estimators")
+
+
+def _worst(figure: "Figure", flight: FlightTraces) -> "Figure":
+    """Heading, pitch and roll of all estimators in the worst ten seconds of each."""
+    axes = figure.subplots(max(1, len(flight.estimators)), 3, squeeze=False)
+    truth = _continuous(flight.t, flight.q_nb)
+    for row, judged in zip(axes, flight.estimators.values(), strict=True):
+        window = judged.worst(flight)
+        for ax, k in zip(row, (2, 1, 0), strict=True):
+            if window is None:
+                ax.set_axis_off()
+                continue
+            for e in flight.estimators.values():
+                rows = (e.t >= window.start) & (e.t <= window.end)
+                width = 1.6 if e is judged else 0.8
+                ax.plot(e.t[rows], _estimated(flight, e, rows)[:, k], linewidth=width, label=e.name)
+            rows = (flight.t >= window.start) & (flight.t <= window.end)
+            ax.plot(flight.t[rows], truth[rows, k], "k--", linewidth=1.2, label=flight.reference)
+            _label(ax, f"{_AXES[k]}, deg")
+        row[0].set_title(f"worst of {judged.name}" + (f": {window.phase}" if window else ""), fontsize=9, loc="left")
+    return _finish(figure, axes.ravel(), f"{flight.label}: the worst ten seconds of each estimator")
+
+
+def _track(figure: "Figure", flight: FlightTraces) -> "Figure":
+    ax = figure.subplots()
+    for i, (name, suite) in enumerate(flight.suites.items()):
+        if len(suite.fix):
+            ax.plot(suite.fix[:, 1], suite.fix[:, 0], ".", color=f"C{7 - i}", markersize=1, label=f"{name} fixes")
+    every = slice(None, None, max(1, len(flight.position) // 5000))
+    ax.plot(flight.position[every, 1], flight.position[every, 0], "k", linewidth=1, label="truth")
+    for e in flight.estimators.values():
+        if np.isfinite(e.position).any():
+            ax.plot(e.position[:, 1], e.position[:, 0], linewidth=0.9, label=e.name)
+    ax.set_aspect("equal", "datalim")
+    ax.set_xlabel("east, m")
+    ax.set_ylabel("north, m")
+    ax.grid(alpha=0.3)
+    ax.legend(fontsize=8)
+    ax.set_title(f"{flight.label}: ground track")
+    return figure
+
+
+def _biases(figure: "Figure", flight: FlightTraces) -> "Figure":
+    axes = figure.subplots(3, 1, sharex=True)
+    for k, ax in enumerate(axes):
+        for i, e in enumerate(flight.estimators.values()):
+            bias, sigma = np.degrees(e.gyro_bias[:, k]), 3 * np.degrees(e.gyro_bias_sigma[:, k])
+            ax.plot(e.coarse_t, bias, color=f"C{i}", linewidth=0.9, label=e.name)
+            ax.fill_between(e.coarse_t, bias - sigma, bias + sigma, color=f"C{i}", alpha=0.15, linewidth=0)
+        for i, (name, suite) in enumerate(flight.suites.items()):
+            if len(suite.t):
+                style = ("k--", "k:", "k-.")[i % 3]
+                ax.plot(suite.t, np.degrees(suite.gyro_bias[:, k]), style, linewidth=1, label=f"{name} truth")
+        _label(ax, f"gyro bias {'xyz'[k]}, deg/s")
+    return _finish(figure, axes, f"{flight.label}: gyro biases")
+
+
+def _label(ax: "Axes", text: str) -> None:
+    ax.set_ylabel(text)
+    ax.grid(alpha=0.3)
+    ax.margins(x=0)
+
+
+def _finish(figure: "Figure", axes: np.ndarray, title: str) -> "Figure":
+    axes[-1].set_xlabel("time, s")
+    figure.suptitle(title)
+    handles, labels = axes[0].get_legend_handles_labels()
+    if handles:
+        columns = math.ceil(len(handles) / math.ceil(len(handles) / 8))
+        figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8)
+    return figure
