@@ -19,7 +19,7 @@ import numpy as np
 
 from ahrs_sim.errors import InputError
 from ahrs_sim.review import compare, consistency, metrics
-from ahrs_sim.review.traces import COARSE, EstimatorTrace, FlightTraces, finding, gather
+from ahrs_sim.review.traces import COARSE, EstimatorTrace, FlightTraces, finding
 from estimators.types import Status
 
 BUDGET = 2_600_000
@@ -29,31 +29,22 @@ CAMPAIGN = 4
 """Flights of one scenario from which on a page shows bands over the flights instead of each."""
 
 
-def write(
-    paths: Sequence[Path],
-    output: Path,
-    *,
-    reference: str | None = None,
-    start: float | None = None,
-    end: float | None = None,
-) -> int:
-    """Make the page of some logs; returns its size in bytes.
+def write(flights: Sequence[FlightTraces], output: Path) -> int:
+    """Make the page of some flights; returns its size in bytes.
 
     Args:
-        paths: logs; `CAMPAIGN` or more of the same scenario with the same estimators are shown as bands.
+        flights: `CAMPAIGN` or more of the same scenario with the same estimators are shown as bands.
         output: the HTML file, replaced when there.
-        reference, start, end: as for `traces.gather`.
 
     Raises:
-        InputError: a log that cannot be compared, or an output that cannot be written.
+        InputError: the output cannot be written.
     """
-    flights = [gather(path, reference=reference, start=start, end=end) for path in paths]
-    text = page(flights)
+    text = page(flights).encode()
     try:
-        output.write_text(text, encoding="utf-8")
+        output.write_bytes(text)
     except OSError as error:
         raise InputError(f"{output}: cannot be written: {error.strerror or error}") from None
-    return len(text.encode())
+    return len(text)
 
 
 def page(flights: Sequence[FlightTraces]) -> str:
