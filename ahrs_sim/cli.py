@@ -57,10 +57,12 @@ def _parser() -> argparse.ArgumentParser:
     fly.set_defaults(run=_fly)
 
     compare = commands.add_parser("compare", help="accuracy of every estimator in a log")
-    compare.add_argument("log", type=Path)
+    compare.add_argument("log", type=Path, nargs="+")
     compare.add_argument("--reference", metavar="NAME", help="an estimator of the log instead of the truth")
     compare.add_argument("--from", dest="start", type=float, metavar="T", help="from this time, s")
     compare.add_argument("--to", dest="end", type=float, metavar="T", help="up to this time, s")
+    compare.add_argument("--report", type=Path, metavar="HTML", help="one page with all plots, to open in a browser")
+    compare.add_argument("--png", type=Path, metavar="DIR", help="the main figures")
     form = compare.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true")
     form.add_argument("--csv", action="store_true")
@@ -70,6 +72,13 @@ def _parser() -> argparse.ArgumentParser:
     info.add_argument("log", type=Path)
     info.add_argument("--json", action="store_true")
     info.set_defaults(run=_info)
+
+    tables = commands.add_parser("export", help="the topics of a log as tables")
+    tables.add_argument("log", type=Path)
+    tables.add_argument("--to", dest="form", choices=["parquet", "csv"], required=True)
+    tables.add_argument("--topic", action="append", default=[], help="only this one; may be repeated")
+    tables.add_argument("-o", "--output", type=Path, metavar="DIR", help="default: the log's name without .mcap")
+    tables.set_defaults(run=_export)
 
     recover = commands.add_parser("recover", help="make a log of what an interrupted flight has left")
     recover.add_argument("part", type=Path, help="LOG.part, or any truncated log")
@@ -85,7 +94,7 @@ def _parser() -> argparse.ArgumentParser:
     allan.set_defaults(run=_allan)
 
     listing = commands.add_parser("list", help="what there is")
-    listing.add_argument("what", choices=["scenarios", "aircraft", "grades", "estimators"])
+    listing.add_argument("what", choices=["scenarios", "aircraft", "grades", "estimators", "layouts"])
     listing.add_argument("--json", action="store_true")
     listing.set_defaults(run=_list)
     return parser
@@ -148,11 +157,39 @@ def _report(output: Path, arguments: argparse.Namespace) -> None:
 def _compare(arguments: argparse.Namespace) -> None:
     from ahrs_sim.review import compare
 
-    result = compare.compare(arguments.log, reference=arguments.reference, start=arguments.start, end=arguments.end)
+    span = {"reference": arguments.reference, "start": arguments.start, "end": arguments.end}
+    results = [compare.compare(log, **span) for log in arguments.log]
     if arguments.json:
-        print(json.dumps(result, indent=1))
+        print(json.dumps(results[0] if len(results) == 1 else results, indent=1))
+    elif arguments.csv:
+        first, *rest = (compare.csv(result) for result in results)
+        print("\n".join([first, *(text.partition("\n")[2] for text in rest)]))
     else:
-        print(compare.csv(result) if arguments.csv else compare.table(result))
+        titles = [f"{log}\n" if len(results) > 1 else "" for log in arguments.log]
+        print("\n\n".join(title + compare.table(result) for title, result in zip(titles, results, strict=True)))
+    if arguments.report or arguments.png:
+        _draw(arguments, span)
+
+
+def _draw(arguments: argparse.Namespace, span: dict[str, Any]) -> None:
+    from ahrs_sim.review import report, traces
+
+    flights = [traces.gather(log, **span) for log in arguments.log]
+    if arguments.report:
+        size = report.write(flights, arguments.report)
+        print(f"{arguments.report}: {size / 1e6:.1f} MB", file=sys.stderr)
+    if arguments.png:
+        from ahrs_sim.review import figures
+
+        for flight in flights:
+            print(*figures.draw(flight, arguments.png), sep="\n", file=sys.stderr)
+
+
+def _export(arguments: argparse.Namespace) -> None:
+    from ahrs_sim.review.export import export
+
+    folder = arguments.output or arguments.log.with_suffix("")
+    print(*export(arguments.log, arguments.form, folder, arguments.topic), sep="\n")
 
 
 def _info(arguments: argparse.Namespace) -> None:
@@ -213,7 +250,19 @@ def _estimators() -> list[dict[str, Any]]:
     return [dict(row) for row in estimators.describe()]
 
 
-_LISTS = {"scenarios": _scenarios, "aircraft": _aircraft, "grades": _grades, "estimators": _estimators}
+def _layouts() -> list[dict[str, Any]]:
+    from ahrs_sim.log import layouts
+
+    return layouts.describe()
+
+
+_LISTS = {
+    "scenarios": _scenarios,
+    "aircraft": _aircraft,
+    "grades": _grades,
+    "estimators": _estimators,
+    "layouts": _layouts,
+}
 
 
 class _Progress:
