@@ -56,9 +56,33 @@ def _parser() -> argparse.ArgumentParser:
     fly.add_argument("--quiet", action="store_true", help="print nothing but errors")
     fly.set_defaults(run=_fly)
 
+    again = commands.add_parser("replay", help="run estimators on a log of ours or on the bag of a real vehicle")
+    again.add_argument("log", type=Path, help="a log of ours, a ROS 2 bag (mcap, db3), a PX4 .ulg or a .csv")
+    again.add_argument("-o", "--output", type=Path, metavar="OUT", help="write the input's messages and the estimates")
+    again.add_argument(
+        "--estimator",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="of the log's scenario or the map, METHOD@SUITE, or METHOD for a bag; may be repeated",
+    )
+    again.add_argument("--map", type=Path, metavar="TOML", help="what topics and axes of a bag mean (docs/replay.md)")
+    again.add_argument(
+        "--calibrate", action="append", default=[], choices=["mag", "gyro"], help="from the bag's own data"
+    )
+    again.add_argument("--from", dest="start", type=float, metavar="T", help="errors from this time, s")
+    again.add_argument("--to", dest="end", type=float, metavar="T", help="errors up to this time, s")
+    again.add_argument("--align", choices=["heading", "frames"], help="take out a constant rotation first")
+    again.add_argument("--sync", action="store_true", help="shift a bag's reference to the time of its gyro")
+    again.add_argument("--force", action="store_true", help="replace an existing log")
+    again.add_argument("--json", action="store_true", help="print the accuracy as JSON")
+    again.set_defaults(run=_replay)
+
     compare = commands.add_parser("compare", help="accuracy of every estimator in a log")
     compare.add_argument("log", type=Path, nargs="+")
-    compare.add_argument("--reference", metavar="NAME", help="an estimator of the log instead of the truth")
+    compare.add_argument("--reference", metavar="NAME", help="an estimator or any orientation topic, not the truth")
+    compare.add_argument("--align", choices=["heading", "frames"], help="take out a constant rotation first")
+    compare.add_argument("--sync", action="store_true", help="take out a constant delay first")
     compare.add_argument("--from", dest="start", type=float, metavar="T", help="from this time, s")
     compare.add_argument("--to", dest="end", type=float, metavar="T", help="up to this time, s")
     compare.add_argument("--report", type=Path, metavar="HTML", help="one page with all plots, to open in a browser")
@@ -154,11 +178,46 @@ def _report(output: Path, arguments: argparse.Namespace) -> None:
     print(json.dumps(result, indent=1) if arguments.json else f"{compare.table(result)}\n{output}")
 
 
+def _replay(arguments: argparse.Namespace) -> None:
+    import tempfile
+
+    from ahrs_sim import replay
+
+    with tempfile.TemporaryDirectory(prefix="ahrs_sim-") as folder:
+        output = arguments.output or Path(folder) / arguments.log.with_suffix(".mcap").name
+        notes = replay.replay(
+            arguments.log,
+            output,
+            estimators=arguments.estimator,
+            map_file=arguments.map,
+            calibrate=arguments.calibrate,
+            sync=arguments.sync,
+            only_estimates=arguments.output is None,
+            force=arguments.force,
+            progress=_Progress(f"replaying {arguments.log.name}", hidden=arguments.json),
+        )
+        _Progress.clear()
+        if notes and not arguments.json:
+            print("\n".join(notes), end="\n\n")
+        result = replay.accuracy(output, start=arguments.start, end=arguments.end, align=arguments.align)
+    if result is None:
+        print("no truth and no reference attitude in it: nothing to compare with", file=sys.stderr)
+        return
+    from ahrs_sim.review import compare
+
+    result["log"] = str(arguments.output or arguments.log)
+    print(json.dumps(result, indent=1) if arguments.json else compare.table(result))
+    if arguments.output and not arguments.json:
+        print(arguments.output)
+
+
 def _compare(arguments: argparse.Namespace) -> None:
     from ahrs_sim.review import compare
 
     span = {"reference": arguments.reference, "start": arguments.start, "end": arguments.end}
-    results = [compare.compare(log, **span) for log in arguments.log]
+    results = [
+        compare.compare(log, **span, align=arguments.align, sync=arguments.sync) for log in arguments.log
+    ]
     if arguments.json:
         print(json.dumps(results[0] if len(results) == 1 else results, indent=1))
     elif arguments.csv:

@@ -354,6 +354,14 @@ ESTIMATED_IMU = Route(
     {"orientation": "q_nb"},
     {"angular_velocity_covariance": _UNKNOWN, "linear_acceleration_covariance": _UNKNOWN},
 )
+REFERENCE = Route(
+    "/reference/imu",
+    "sensor_msgs/msg/Imu",
+    FRD,
+    f"The reference attitude of a bag that was replayed, `{FRD}` to `{NED}`.",
+    {"orientation": "q_nb"},
+    {"angular_velocity_covariance": _UNKNOWN, "linear_acceleration_covariance": _UNKNOWN},
+)
 SETPOINTS = Route(
     "/pilot/setpoints",
     "ahrs_sim_msgs/msg/Setpoints",

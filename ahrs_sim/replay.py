@@ -1,0 +1,282 @@
+"""Run estimators on what was recorded: a log of ours or a bag of a real vehicle, in blocks and bounded memory.
+
+    recording -> records -> samples -> estimates -> log
+
+From the records on it is the path of a flight: on a log of ours the same estimators give the same bytes again.
+"""
+
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import estimators as library
+from ahrs_sim import scenario as scenarios
+from ahrs_sim.errors import InputError
+from ahrs_sim.log.record import INSTRUMENTS, REFERENCE, EstimateTopics, FlightReader
+from ahrs_sim.log.writer import CarriedChannel, LogWriter
+from ahrs_sim.scenario import Component
+from ahrs_sim.sensors.assemble import Assembler
+from ahrs_sim.sensors.records import SuiteBlock
+from estimators.types import SensorInfo, Site
+
+SCENARIO = "scenario.toml"
+
+_HOLD_S = 1.5
+"""How much older than the estimates already written a record, a reference or an estimate may still be, s."""
+
+
+REFERENCES = ("/truth/", REFERENCE.topic)
+"""Topics without which there is nothing to compare estimates with."""
+
+
+@dataclass
+class Recording:
+    """What a replay needs to know of a recording."""
+
+    site: Site
+    sensors: Mapping[str, SensorInfo]  # by suite
+    estimators: Sequence[Component]
+    blocks: Iterator[dict[str, SuiteBlock]]  # by suite, in the order of arrival
+    epoch_ns: int  # zero of the records' times
+    duration: float  # s
+    carried: FlightReader | None  # whose messages go along
+    written: Mapping[str, Sequence[str]] = field(default_factory=dict)  # suites of which the records go along instead
+    has_reference: bool = False
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # for the new log
+
+
+def replay(
+    path: Path,
+    output: Path,
+    *,
+    estimators: Sequence[str] = (),
+    map_file: Path | None = None,
+    calibrate: Sequence[str] = (),
+    sync: bool = False,
+    only_estimates: bool = False,
+    force: bool = False,
+    progress: Callable[[float, float | None], None] = lambda t, end: None,
+) -> list[str]:
+    """Run estimators on a recording into a new log.
+
+    Args:
+        path: a log of ours, or any bag (`ahrs_sim.bags.sources`).
+        output: the new log: the messages of an MCAP, else the measurements as suite `bag`, and the new estimates
+            instead of those of the same name; the reference attitude of a bag as `/reference/imu`.
+        estimators: only these of the log's scenario or the map, `METHOD@SUITE`, or `METHOD` for a bag; none: all of
+            the scenario or the map, else what fits a bag's sensors.
+        map_file: what topics and axes of a bag mean.
+        calibrate: "mag", "gyro": from the bag's own data.
+        sync: shift a bag's reference to the time of its gyro.
+        only_estimates: carry nothing along but the truth.
+        force: replace an existing log.
+        progress: called with the time reached and the end, s.
+
+    Returns:
+        What the user should know, line by line.
+
+    Raises:
+        InputError: the recording cannot be read, or something asked for is not in it.
+    """
+    if output.exists() and path.exists() and output.samefile(path):
+        raise InputError(f"{output}: is the recording itself; choose another -o")
+    prefixes = REFERENCES if only_estimates else ("",)
+    foreign = path.suffix in (".csv", ".ulg", ".ulog", ".db3") or path.is_dir()
+    if not foreign:
+        with FlightReader(path) as log:
+            foreign = not is_flight(log)
+            if not foreign:
+                if map_file or calibrate or sync:
+                    raise InputError(f"{path}: a log of ours needs no --map, --calibrate or --sync; leave them out")
+                _run(of_flight(log, estimators), output, prefixes, force, progress)
+                return []
+    from ahrs_sim.bags.mapping import SUITE
+    from ahrs_sim.bags.recording import open_bag
+
+    bag = open_bag(path, map_file=map_file, calibrate=calibrate, sync=sync, names=estimators)
+    reader = getattr(bag.source, "reader", None)
+    records = [i for i in bag.instruments if i in INSTRUMENTS]
+    recording = Recording(
+        site=bag.site,
+        sensors={SUITE: bag.sensors},
+        estimators=bag.estimators,
+        blocks=bag.blocks(),
+        epoch_ns=bag.source.epoch_ns,
+        duration=bag.source.duration,
+        carried=reader,
+        written={} if reader or only_estimates else {SUITE: records},
+        has_reference="reference" in bag.converter.chosen,
+        metadata={"replay": bag.metadata},
+    )
+    _run(recording, output, prefixes, force, progress)
+    return bag.notes + bag.counted()
+
+
+def accuracy(
+    output: Path, *, start: float | None = None, end: float | None = None, align: str | None = None
+) -> dict[str, Any] | None:
+    """Errors of the estimates in a log made by `replay`; None when it has no truth and no reference."""
+    with FlightReader(output) as log:
+        if "/truth/odometry" not in log.topics and REFERENCE.topic not in log.topics:
+            return None
+    from ahrs_sim.review import compare
+
+    return compare.compare(output, start=start, end=end, align=align)
+
+
+def is_flight(log: FlightReader) -> bool:
+    """Whether it is a log of ours, which knows its scenario."""
+    return SCENARIO in log.attachments and "site" in log.metadata
+
+
+def of_flight(log: FlightReader, names: Sequence[str] = ()) -> Recording:
+    """A log of ours: scenario, site and data sheets from its attachments and metadata.
+
+    Raises:
+        InputError: an unknown estimator, or the log does not tell what estimators need.
+    """
+    try:
+        data = tomllib.loads(log.attachment(SCENARIO).decode())
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{log.path}: damaged: {SCENARIO}: {error}") from None
+    scenario = scenarios.parse(data, str(log.path), log.path.stem, estimators=names)
+    components = scenario.estimators
+    suites = list(dict.fromkeys(str(c.settings["suite"]) for c in components))
+    if not components:
+        raise InputError(f"{log.path}: its scenario has no estimators; name one with --estimator METHOD@SUITE")
+    first, last = log.time_range_ns
+    return Recording(
+        site=_known(log, "site", Site),
+        sensors={suite: _known(log, f"sensors {suite}", SensorInfo) for suite in suites},
+        estimators=components,
+        blocks=log.suite_blocks(suites),
+        epoch_ns=log.epoch_ns,
+        duration=(last - first) / 1e9,
+        carried=log,
+    )
+
+
+def _known(log: FlightReader, name: str, cls: Any) -> Any:
+    """A `Site` or `SensorInfo` from its metadata record (`pipeline.exactly`)."""
+    try:
+        values = {k: tuple(map(float, v.split())) for k, v in log.metadata[name].items()}
+        plain = {f: getattr(cls, f, None) for f in cls.__dataclass_fields__}
+        return cls(**{k: v if k in ("lla", "mag_n", "antenna_b") else v[0] for k, v in values.items() if k in plain})
+    except (KeyError, ValueError, IndexError, TypeError):
+        raise InputError(
+            f"{log.path}: its metadata say nothing usable of '{name}'; fly the scenario again with this version"
+        ) from None
+
+
+def create(component: Component, site: Site, sensors: SensorInfo) -> Any:
+    """The estimator of an `[estimator.NAME]` table.
+
+    Raises:
+        InputError: an unknown method or setting: where, which, what to do.
+    """
+    settings = {k: v for k, v in component.settings.items() if k not in ("method", "suite")}
+    try:
+        return library.create(component.settings["method"], site=site, sensors=sensors, **settings)
+    except library.SettingError as error:
+        raise InputError(f"{component.where}: {error}") from None
+
+
+def _run(
+    recording: Recording,
+    output: Path,
+    prefixes: tuple[str, ...],
+    force: bool,
+    progress: Callable[[float, float | None], None],
+) -> None:
+    listening: dict[str, dict[str, Any]] = {suite: {} for suite in recording.sensors}
+    for component in recording.estimators:
+        suite = component.settings["suite"]
+        listening[suite][component.name] = create(component, recording.site, recording.sensors[suite])
+    assemblers = {suite: Assembler() for suite in listening}
+    names = [c.name for c in recording.estimators]
+    with LogWriter(output, epoch_ns=recording.epoch_ns, force=force) as writer:
+        passing = _Passing(recording, writer, prefixes)
+        topics = EstimateTopics(writer, recording.epoch_ns, names)
+        for component in recording.estimators:
+            writer.metadata(f"estimator {component.name}", {k: str(v) for k, v in component.settings.items()})
+        writer.start()
+        for blocks in recording.blocks:
+            reached = 0.0
+            for suite, block in blocks.items():
+                passing.records(suite, block)
+                samples = assemblers[suite].process(block)
+                for name, estimator in listening[suite].items():
+                    topics.write(name, estimator.process(samples))
+                if len(samples):
+                    reached = max(reached, float(samples.t[-1]))
+            progress(reached, recording.duration)
+            passing.advance(recording.epoch_ns + round((reached - _HOLD_S) * 1e9))
+        passing.rest()
+
+
+class _Passing:
+    """What of the recording goes into the new log beside the estimates."""
+
+    def __init__(self, recording: Recording, writer: LogWriter, prefixes: tuple[str, ...]) -> None:
+        self._writer, self._epoch_ns = writer, recording.epoch_ns
+        self._records = {
+            (suite, i): INSTRUMENTS[i][1].channel(writer, f"/{suite}")
+            for suite, kinds in recording.written.items()
+            for i in kinds
+        }
+        self._reference = REFERENCE.channel(writer) if recording.has_reference else None
+        self._carried: dict[int, CarriedChannel] = {}
+        self._blocks: Iterator[tuple[int, dict[int, list[np.ndarray]]]] = iter(())
+        self._floor = np.iinfo(np.int64).max  # ns: all before has been passed on
+        metadata = dict(recording.metadata)
+        if (log := recording.carried) is not None:
+            ours = tuple(f"/est/{c.name}/" for c in recording.estimators)
+            ours += (REFERENCE.topic,) if recording.has_reference else ()
+            chosen = [t for t in log.topics if t.startswith(prefixes) and not t.startswith(ours)]
+            for number, (channel, schema) in log.carried(chosen).items():
+                self._carried[number] = writer.carry(channel, schema)
+            self._blocks = log.raw_blocks(self._carried)
+            self._floor = -1 if self._carried else self._floor
+            metadata = {**{k: v for k, v in log.metadata.items() if k != "log"}, **metadata}
+            for name in log.attachments:
+                writer.attach(name, log.attachment(name), "application/octet-stream")
+        for name, values in metadata.items():
+            writer.metadata(name, values)
+
+    def records(self, suite: str, block: SuiteBlock) -> None:
+        """Records that stand for messages which cannot go along, and the reference."""
+        for instrument, records in block.items():
+            is_reference = instrument == "reference"
+            channel = self._reference if is_reference else self._records.get((suite, instrument))
+            if channel is None or not len(records):
+                continue
+            route = REFERENCE if is_reference else INSTRUMENTS[instrument][1]
+            columns = route.columns(records)
+            arrival, stamp = self._epoch_ns + records.arrival_ns, self._epoch_ns + records.stamp_ns
+            if is_reference:
+                known = np.isfinite(columns["orientation"]).all(axis=1)
+                columns, arrival, stamp = {"orientation": columns["orientation"][known]}, arrival[known], stamp[known]
+            self._writer.write(channel, arrival, stamp, **columns)
+
+    def _next(self) -> bool:
+        floor, found = next(self._blocks, (None, {}))
+        for number, batches in found.items():
+            for rows in batches:
+                self._writer.pass_on(self._carried[number], rows)
+        self._floor = np.iinfo(np.int64).max if floor is None else floor
+        return floor is not None
+
+    def advance(self, t_ns: int) -> None:
+        """Estimates up to `t_ns` have been written."""
+        while self._floor < t_ns:
+            self._next()
+        self._writer.advance(min(t_ns, self._floor))
+
+    def rest(self) -> None:
+        """Pass on all that is left."""
+        while self._next():
+            self._writer.advance(self._floor)
