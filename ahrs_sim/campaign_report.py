@@ -101,7 +101,7 @@ def _bands(store: Store, estimator: str, column: str) -> dict[str, list[float | 
     import pyarrow.compute as pc
 
     table = store.table(["estimator", column])
-    lists = table.filter(pc.equal(table["estimator"], estimator))[column].to_pylist()  # type: ignore[attr-defined]
+    lists = table.filter(pc.equal(table["estimator"], estimator))[column].to_pylist()
     lists = [x for x in lists if x]
     width = max(map(len, lists), default=0)
     errors = np.full((len(lists), width), np.nan)

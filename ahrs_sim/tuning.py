@@ -51,7 +51,7 @@ class Knob:
         """The setting at `x` in [0, 1]."""
         x = min(1.0, max(0.0, x))
         if self.low > 0 and self.high / self.low > DECADE:
-            return self.low * (self.high / self.low) ** x
+            return self.low * math.exp(x * math.log(self.high / self.low))
         return self.low + x * (self.high - self.low)
 
 
@@ -148,8 +148,10 @@ def tune(
         return trials[key]
 
     if len(knobs) == 1:
-        options = {"maxiter": evaluations, "xatol": 0.01}
-        optimize.minimize_scalar(lambda x: cost(np.array([x])), bounds=(0.0, 1.0), method="bounded", options=options)
+        optimize.minimize_scalar(
+            lambda x: cost(np.array([x])), bounds=(0.0, 1.0), method="bounded",
+            options={"maxiter": evaluations, "xatol": 0.01},
+        )  # fmt: skip
     else:
         n = len(knobs)
         simplex = np.full((n + 1, n), 0.35)
