@@ -64,11 +64,22 @@ def _continuous(t: np.ndarray, q_nb: np.ndarray) -> np.ndarray:
     return angles
 
 
+def _modulo(ax: "Axes") -> None:
+    """Headings of 0 to 360 deg at the ticks, whatever the turns."""
+    from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+    ax.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 1.5, 3, 4.5, 9, 10]))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y % 360:g}"))
+
+
 def _estimated(flight: FlightTraces, e: EstimatorTrace, rows: slice | np.ndarray) -> np.ndarray:
     """Angles (n, 3) in deg of an estimator next to those of the reference, whatever the turns made."""
     truth = _continuous(flight.t, flight.q_nb)
     reference = np.column_stack([np.interp(e.t[rows], flight.t, truth[:, k]) for k in range(3)])
-    return np.asarray(reference + np.degrees(e.error[rows, :3]))
+    angles = np.asarray(reference + np.degrees(e.error[rows, :3]))
+    jump = np.abs(np.diff(angles, axis=0)) > 180.0  # the error wraps: not to be drawn
+    angles[1:][jump] = np.nan
+    return angles
 
 
 def _attitude(figure: "Figure", flight: FlightTraces) -> "Figure":
@@ -79,6 +90,7 @@ def _attitude(figure: "Figure", flight: FlightTraces) -> "Figure":
             ax.plot(*_thin(e.t, _estimated(flight, e, slice(None))[:, k]), linewidth=0.9, label=e.name)
         ax.plot(*_thin(flight.t, truth[:, k]), "k--", linewidth=0.9, label=flight.reference)
         _label(ax, f"{_AXES[k]}, deg")
+    _modulo(axes[2])
     return _finish(figure, axes, f"{flight.label}: attitude")
 
 
@@ -110,6 +122,7 @@ def _worst(figure: "Figure", flight: FlightTraces) -> "Figure":
             rows = (flight.t >= window.start) & (flight.t <= window.end)
             ax.plot(flight.t[rows], truth[rows, k], "k--", linewidth=1.2, label=flight.reference)
             _label(ax, f"{_AXES[k]}, deg")
+        _modulo(row[0])
         row[0].set_title(f"worst of {judged.name}" + (f": {window.phase}" if window else ""), fontsize=9, loc="left")
     return _finish(figure, axes.ravel(), f"{flight.label}: the worst ten seconds of each estimator")
 
