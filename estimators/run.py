@@ -17,6 +17,7 @@ from estimators.models.base import (
     START,
     constrain,
     load,
+    measure,
     measurement_noise,
     report,
     residual,
@@ -88,7 +89,7 @@ def update(
             residual(model, g, measured, y, error)
             ok &= condition(size(model), rows, S, C, P, error, counts, spread, dx)
             for i in range(rows):
-                if counts[i]:
+                if counts[i] and start + i < MEASUREMENTS:
                     answer[E_INNOVATION + start + i] = error[i]
                     answer[E_VARIANCE + start + i] = spread[i]
             retract(model, x, dx, moved)
@@ -124,14 +125,16 @@ def run(
         clock[0] = t
         for i in range(x.shape[0]):
             before[i] = x[i]
-        state = load(model, row, x, memory, u, z, used)
+        load(model, row, x, memory, u)
         steps = 1 if dt <= MAX_STEP else 0  # none at the first row of all, where dt is NaN
         if dt > MAX_STEP:
             steps = min(MAX_STEPS, math.ceil(dt / MAX_STEP))
-            state = _COASTING
         ok = True
         for _ in range(steps):
             ok = ok and predict(method, model, x, P, u, dt / steps, work)
+        state = measure(model, row, x, memory, u, z, used)
+        if dt > MAX_STEP:
+            state = _COASTING
         ok = ok and update(method, model, x, P, u, z, used, work, answer)
         if not (ok and healthy(x, P)):
             state = _DIVERGED

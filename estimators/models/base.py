@@ -42,13 +42,18 @@ def read(model: Any) -> int:  # type: ignore[empty-body]
 
 
 @generic
-def load(  # type: ignore[empty-body]
-    model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray
-) -> int:
-    """A row of samples (see `estimators.rows`) into inputs u, measurements z and which are used; returns a `Status`.
+def load(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray) -> None:
+    """Inputs u of the step that ends with a row of samples (see `estimators.rows`), from the state x before it.
 
     What must be kept from row to row lives in `memory`.
     """
+
+
+@generic
+def measure(  # type: ignore[empty-body]
+    model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray
+) -> int:
+    """Measurements z of a row and which are used, with the predicted state x at hand; returns a `Status`."""
 
 
 @generic

@@ -178,7 +178,19 @@ def _constrain(model: Any, x: np.ndarray) -> None:
     normalise(x)
 
 
-def _load(
+def _load(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray) -> None:
+    u[9] = 1.0
+    if model.aiding == AIR:
+        _load_air(model, row, memory, u)
+    elif model.aiding == GNSS:
+        _load_gnss(model, row, x, memory, u)
+    if model.aiding != NONE and not row[T] - memory[_AID_T] <= AID_TIMEOUT:
+        u[9] = model.unaided_factor
+        for i in range(9):
+            u[i] = 0.0
+
+
+def _measure(
     model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray
 ) -> int:
     t, new = row[T], row[MAG_NEW] != 0.0
@@ -192,18 +204,8 @@ def _load(
         mag &= used[3 + i]
     if mag or not math.isfinite(memory[_MAG_T]):
         memory[_MAG_T] = t
-    status = _RUNNING if carried and t - memory[_MAG_T] <= MAG_TIMEOUT else _COASTING
-    u[9] = 1.0
-    if model.aiding == AIR:
-        _load_air(model, row, memory, u)
-    elif model.aiding == GNSS:
-        _load_gnss(model, row, x, memory, u)
-    if model.aiding != NONE and not t - memory[_AID_T] <= AID_TIMEOUT:
-        u[9] = model.unaided_factor
-        for i in range(9):
-            u[i] = 0.0
-        status = _COASTING
-    return status
+    aided = model.aiding == NONE or t - memory[_AID_T] <= AID_TIMEOUT
+    return _RUNNING if carried and aided and t - memory[_MAG_T] <= MAG_TIMEOUT else _COASTING
 
 
 @njit(forceinline=True, no_cpython_wrapper=True)
@@ -288,6 +290,7 @@ register(
     changed=_changed,
     read=_read,
     load=_load,
+    measure=_measure,
     propagate=_propagate,
     transition=_transition,
     process_noise=_process_noise,
