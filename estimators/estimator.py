@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from estimators import adaptation
 from estimators.alignment import ALIGNING, LAST, STILL, Start, Stretch, align, conclude, limits
 from estimators.errors import EstimationError, SampleError
 from estimators.filters.base import Work
@@ -57,6 +58,7 @@ class FilterEstimator:
     ) -> None:
         self.name, self.settings, self.site, self.sensors = name, dict(settings), site, sensors
         self._method, self._build = method, build
+        self._policy = adaptation.make(settings, site)
         self._limits = limits(sensors)
         self.reset()
 
@@ -66,7 +68,7 @@ class FilterEstimator:
         self._model: Any = None
         self._carry: Carry | None = None
         self._work: Work | None = None
-        if self.settings["initialisation"] == "paper" and self.settings["noise"] == "practical":
+        if self.settings.get("initialisation") == "paper" and self.settings["noise"] == "practical":
             self._begin(still=False)  # nothing to learn from the ground
 
     def process(self, samples: Samples) -> Estimates:
@@ -94,7 +96,7 @@ class FilterEstimator:
             if phase != ALIGNING:
                 self._begin(still=phase == STILL)
         if done < n:
-            run(self._method, self._model, self._carry, self._work, rows, out, status, done)
+            run(self._method, self._policy, self._model, self._carry, self._work, rows, out, status, done)
         return unpack(out, status)
 
     def _begin(self, still: bool) -> None:
@@ -110,6 +112,7 @@ class FilterEstimator:
             z=np.zeros(start.measurements),
             used=np.zeros(start.measurements, bool),
             P_restart=start.P_restart,
+            trust=adaptation.fresh(),
         )
         self._work = Work.make(self._model, len(start.x))
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from estimators.adaptation.base import admit, weigh
 from estimators.filters.base import Work, predict, project
 from estimators.jit import njit
 from estimators.linalg import condition, healthy
@@ -18,13 +19,12 @@ from estimators.models.base import (
     constrain,
     load,
     measure,
-    measurement_noise,
     report,
     residual,
     retract,
     size,
 )
-from estimators.rows import E_INNOVATION, E_VARIANCE, T
+from estimators.rows import E_ADAPTATION, E_INNOVATION, E_VARIANCE, T
 from estimators.types import MEASUREMENTS, Status
 
 MAX_STEP = 0.5  # s, longest step of one prediction
@@ -45,6 +45,7 @@ class Carry(NamedTuple):
     z: np.ndarray  # measurements of the last row
     used: np.ndarray  # which of them counted
     P_restart: np.ndarray  # (n, n) covariance to restart with when the filter is lost
+    trust: np.ndarray  # of the adaptation, see `adaptation.base`
 
 
 @njit
@@ -63,12 +64,14 @@ def first_bad_stamp(rows: np.ndarray, last: float) -> int:
 @njit(forceinline=True, no_cpython_wrapper=True)
 def update(
     method: Any,
+    policy: Any,
     model: Any,
     x: np.ndarray,
     P: np.ndarray,
     u: np.ndarray,
     z: np.ndarray,
     used: np.ndarray,
+    trust: np.ndarray,
     work: Work,
     answer: np.ndarray,
 ) -> bool:
@@ -85,8 +88,8 @@ def update(
             any_used |= used[start + i]
         if any_used and ok:
             ok = project(method, model, g, x, P, u, work)
-            measurement_noise(model, g, x, u, S)
             residual(model, g, measured, y, error)
+            weigh(policy, model, g, x, u, S, error, counts, trust, work.noise)
             ok &= condition(size(model), rows, S, C, P, error, counts, spread, dx)
             for i in range(rows):
                 if counts[i] and start + i < MEASUREMENTS:
@@ -102,6 +105,7 @@ def update(
 @njit
 def run(
     method: Any,
+    policy: Any,
     model: Any,
     carry: Carry,
     work: Work,
@@ -112,6 +116,7 @@ def run(
 ) -> None:
     """Rows `first` to the end of samples (n, SAMPLE_WIDTH) into estimates (n, ESTIMATE_WIDTH) and status (n,)."""
     x, P, memory, clock, u, z, used = carry.x, carry.P, carry.memory, carry.clock, carry.u, carry.z, carry.used
+    trust = carry.trust
     before = np.empty_like(x)
     for k in range(first, rows.shape[0]):
         row, answer = rows[k], out[k]
@@ -133,9 +138,9 @@ def run(
         for _ in range(steps):
             ok = ok and predict(method, model, x, P, u, dt / steps, work)
         state = measure(model, row, x, memory, u, z, used)
-        if dt > MAX_STEP:
+        if admit(policy, model, row, trust, used) or dt > MAX_STEP:
             state = _COASTING
-        ok = ok and update(method, model, x, P, u, z, used, work, answer)
+        ok = ok and update(method, policy, model, x, P, u, z, used, trust, work, answer)
         if not (ok and healthy(x, P)):
             state = _DIVERGED
             for i in range(x.shape[0]):
@@ -146,4 +151,6 @@ def run(
             for i in range(2 * MEASUREMENTS):
                 answer[E_INNOVATION + i] = math.nan
         status[k] = state
+        for i in range(4):
+            answer[E_ADAPTATION + i] = trust[i]
         report(model, x, P, memory, answer)

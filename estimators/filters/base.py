@@ -28,6 +28,7 @@ class Work(NamedTuple):
     J: np.ndarray  # (rows, n) a Jacobian
     T: np.ndarray  # (rows, n) its product with P
     S: np.ndarray  # (rows, rows) covariance of the measurements
+    noise: np.ndarray  # (rows, rows) measurement noise, for an adaptation that weighs it
     C: np.ndarray  # (rows, n) covariance of measurements and state
     y: np.ndarray  # (rows,) predicted measurements
     measured: np.ndarray  # (rows,)
@@ -48,8 +49,8 @@ class Work(NamedTuple):
         return cls(
             x=zeros(raw), point=zeros(raw), moved=zeros(raw), dx=zeros(n), L=zeros(n, columns),
             odd=zeros(columns, rows), even=zeros(columns, rows), shift=zeros(rows), plus=zeros(rows), minus=zeros(rows),
-            J=zeros(rows, n), T=zeros(rows, n), S=zeros(rows, rows), C=zeros(rows, n), y=zeros(rows),
-            measured=zeros(rows), residual=zeros(rows), variance=zeros(rows), used=np.zeros(rows, bool),
+            J=zeros(rows, n), T=zeros(rows, n), S=zeros(rows, rows), noise=zeros(rows, rows), C=zeros(rows, n),
+            y=zeros(rows), measured=zeros(rows), residual=zeros(rows), variance=zeros(rows), used=np.zeros(rows, bool),
         )  # fmt: skip
 
 
