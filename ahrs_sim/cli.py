@@ -39,7 +39,9 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
 
     fly = commands.add_parser("fly", help="fly a scenario into a log and print the accuracy table")
-    fly.add_argument("scenario", help="a TOML file, or the name of a shipped scenario (ahrs-sim list scenarios)")
+    fly.add_argument("scenario", nargs="?", help="a TOML file, or the name of a shipped one (ahrs-sim list scenarios)")
+    fly.add_argument("--from", dest="campaign", metavar="DIR", help="instead of a scenario: a run of this campaign")
+    fly.add_argument("--run", dest="number", type=_natural, metavar="N", help="with --from: which run")
     fly.add_argument("-o", "--output", type=Path, metavar="LOG", help="default: logs/SCENARIO-seedN.mcap")
     fly.add_argument("--seed", type=_natural, metavar="N", help="instead of the scenario's")
     fly.add_argument(
@@ -117,11 +119,67 @@ def _parser() -> argparse.ArgumentParser:
     allan.add_argument("--json", action="store_true")
     allan.set_defaults(run=_allan)
 
+    _add_check(commands)
+    _add_campaign(commands)
+
     listing = commands.add_parser("list", help="what there is")
     listing.add_argument("what", choices=["scenarios", "aircraft", "grades", "estimators", "layouts"])
     listing.add_argument("--json", action="store_true")
     listing.set_defaults(run=_list)
     return parser
+
+
+def _add_check(commands: Any) -> None:
+    check = commands.add_parser("check", help="accuracy of a suite of flights against its baseline; exit 1 when worse")
+    check.add_argument("suite", nargs="?", help="a TOML file (default: the standard suite in tests/baselines)")
+    check.add_argument("--renew", action="store_true", help="make the present accuracy the baseline; needs --why")
+    check.add_argument("--why", metavar="TEXT", help="the reason, kept in the baseline's history")
+    check.add_argument("--workers", type=_count, metavar="N", help="processes (default: one per processor)")
+    check.add_argument("--all", action="store_true", help="list what has not changed, too")
+    check.add_argument("--junit", type=Path, metavar="FILE", help="write the result as JUnit XML")
+    form = check.add_mutually_exclusive_group()
+    form.add_argument("--json", action="store_true")
+    form.add_argument("--markdown", action="store_true", help="print a comment for a pull request")
+    check.set_defaults(run=_check)
+
+
+def _add_campaign(commands: Any) -> None:
+    campaign = commands.add_parser("campaign", help="many flights with varied seeds and values; statistics of them")
+    campaign.add_argument("scenario", help="a TOML file, or the name of a shipped scenario")
+    campaign.add_argument("--runs", type=_count, required=True, metavar="N")
+    campaign.add_argument("-o", "--output", metavar="DIR", help="a folder or an fsspec address; needed but for --tune")
+    campaign.add_argument(
+        "--vary",
+        action="append",
+        default=[],
+        metavar="KEY=DIST",
+        help="uniform:A..B, normal:M,S, choice:A,B, grid:A,B or lhs:A..B of any scenario value; may be repeated",
+    )
+    campaign.add_argument("--seed", type=_natural, metavar="N", help="of run 0; run k has the k-th after it")
+    campaign.add_argument("--estimator", action="append", default=[], metavar="NAME", help="as for fly")
+    campaign.add_argument("--duration", type=_positive, metavar="S", help="end every flight after S seconds")
+    where = campaign.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=_count, metavar="N", help="processes (default: one per processor)")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster, e.g. tcp://head:8786")
+    campaign.add_argument("--keep-logs", metavar="worst:N", help="logs of the N worst runs, or all")
+    campaign.add_argument("--metric", default="tilt_rmse_deg", metavar="FIGURE", help="what makes a run bad")
+    campaign.add_argument(
+        "--tune",
+        action="append",
+        default=[],
+        metavar="EST.SETTING=A..B",
+        help="minimise the metric; verdict on N further seeds; may be repeated",
+    )
+    campaign.add_argument("--json", action="store_true")
+    campaign.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    campaign.set_defaults(run=_campaign)
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not 1 or more")
+    return value
 
 
 def _positive(text: str) -> float:
@@ -141,9 +199,20 @@ def _natural(text: str) -> int:
 def _fly(arguments: argparse.Namespace) -> int:
     from ahrs_sim import scenario as scenarios
 
-    scenario = scenarios.load(
-        arguments.scenario, seed=arguments.seed, duration=arguments.duration, estimators=arguments.estimator
-    )
+    if (arguments.campaign is None) != (arguments.number is None) or (arguments.campaign and arguments.scenario):
+        raise InputError("fly: give a scenario, or --from DIR and --run N")
+    if arguments.campaign is not None:
+        from ahrs_sim.campaign import scenario_of
+
+        if arguments.seed is not None or arguments.duration is not None or arguments.estimator:
+            raise InputError("fly: --from repeats a run as it was; leave --seed, --duration and --estimator out")
+        scenario = scenario_of(arguments.campaign, arguments.number)
+    elif arguments.scenario is None:
+        raise InputError("fly: no scenario given; see ahrs-sim list scenarios")
+    else:
+        scenario = scenarios.load(
+            arguments.scenario, seed=arguments.seed, duration=arguments.duration, estimators=arguments.estimator
+        )
     output = arguments.output or Path("logs") / f"{scenario.name}-seed{scenario.seed}.mcap"
     if output.exists() and not arguments.force:
         raise InputError(f"{output}: exists; give another -o or --force")
@@ -273,14 +342,88 @@ def _allan(arguments: argparse.Namespace) -> None:
         allan.plot(result, arguments.plot)
 
 
+def _check(arguments: argparse.Namespace) -> int:
+    from ahrs_sim import check
+
+    if arguments.renew != bool(arguments.why):
+        raise InputError("check: --renew and --why TEXT go together: a baseline changes for a reason")
+    suite = check.load(arguments.suite)
+    progress = _Progress(f"flying {suite.name}", unit="flights", hidden=arguments.json)
+    found = check.fly(suite, workers=arguments.workers, progress=progress)
+    _Progress.clear()
+    if arguments.renew:
+        check.renew(suite, found, arguments.why)
+        print(f"{suite.baseline}: renewed")
+        return 0
+    result = check.judge(suite, found)
+    if arguments.junit:
+        arguments.junit.write_text(check.junit(result), encoding="utf-8")
+    if arguments.json:
+        print(json.dumps(check.as_json(result), indent=1))
+    else:
+        print(check.markdown(result) if arguments.markdown else check.table(result, everything=arguments.all))
+    return 0 if result.passed else 1
+
+
+def _campaign(arguments: argparse.Namespace) -> int:
+    from ahrs_sim import campaign, campaign_report, runs, tuning
+    from ahrs_sim import scenario as scenarios
+
+    scenario = scenarios.load(
+        arguments.scenario, seed=arguments.seed, duration=arguments.duration, estimators=arguments.estimator
+    )
+    plan = campaign.Plan.make(scenario, arguments.runs, arguments.vary)
+    keep = _worst(arguments.keep_logs, arguments.runs)
+    hidden = arguments.quiet or arguments.json
+    if arguments.tune:
+        knobs = [tuning.Knob.read(text, scenario) for text in arguments.tune]
+        with runs.pool(arguments.workers, arguments.scheduler) as pool:
+            progress = _Progress("tuning", unit="trials", hidden=hidden)
+            tuned = tuning.tune(plan, knobs, arguments.metric, pool, progress=progress)
+        _Progress.clear()
+        print(json.dumps(vars(tuned), indent=1) if arguments.json else tuned.text())
+        return 0
+    if arguments.output is None:
+        raise InputError("campaign: -o DIR is missing: where the results go")
+    store = campaign.Store(arguments.output)
+    if keep and store.remote:
+        raise InputError("--keep-logs needs a local -o; fly single runs with ahrs-sim fly --from DIR --run N")
+    with runs.pool(arguments.workers, arguments.scheduler) as pool:
+        campaign.fly(plan, store, pool, _Progress(f"flying {plan.name}", unit="runs", hidden=hidden))
+        if keep:
+            worst = campaign_report.worst_runs(store, arguments.metric, keep)
+            for _ in campaign.keep_logs(plan, worst, Path(arguments.output) / "logs", pool):
+                pass  # runs that fail leave a log up to there
+    _Progress.clear()
+    report = campaign_report.make(store, arguments.metric)
+    text = campaign_report.text(report)
+    store.write("report.json", json.dumps(report, indent=1).encode())
+    store.write("report.txt", f"{text}\n".encode())
+    if not arguments.quiet:
+        print(json.dumps(report, indent=1) if arguments.json else text)
+    return 0 if report["failed"] < report["runs"] else 1
+
+
+def _worst(text: str | None, runs: int) -> int:
+    """How many logs `--keep-logs` asks for."""
+    if text is None:
+        return 0
+    if text == "all":
+        return runs
+    kind, _, count = text.partition(":")
+    if kind != "worst" or not count.isdigit():
+        raise InputError(f"--keep-logs {text}: write worst:N or all")
+    return int(count)
+
+
 def _list(arguments: argparse.Namespace) -> None:
     rows = _LISTS[arguments.what]()
     if arguments.json:
         print(json.dumps(rows, indent=1))
         return
     for row in rows:
-        name, *rest = (str(v) for v in row.values())
-        print(f"{name:24s}{'  '.join(rest)}".rstrip())
+        name, *rest = (v for v in row.values() if not isinstance(v, dict))
+        print(f"{name:24s}{'  '.join(map(str, rest))}".rstrip())
 
 
 def _scenarios() -> list[dict[str, Any]]:
@@ -292,9 +435,11 @@ def _scenarios() -> list[dict[str, Any]]:
 
 
 def _aircraft() -> list[dict[str, Any]]:
-    from ahrs_sim import flight
+    from ahrs_sim.data import aircraft_dir
+    from ahrs_sim.flight.fdm import aircraft
 
-    return [{"name": name, "from": origin} for name, origin in flight.aircraft()]
+    ours = aircraft_dir()
+    return [{"name": n, "from": "ahrs_sim" if ours in p.parents else "JSBSim"} for n, p in aircraft().items()]
 
 
 def _grades() -> list[dict[str, Any]]:
@@ -306,7 +451,10 @@ def _grades() -> list[dict[str, Any]]:
 def _estimators() -> list[dict[str, Any]]:
     import estimators
 
-    return [dict(row) for row in estimators.describe()]
+    return [
+        {"name": m.name, "text": m.text, "source": m.source, "settings": {k: v.default for k, v in m.settings.items()}}
+        for m in estimators.describe()
+    ]
 
 
 def _layouts() -> list[dict[str, Any]]:
@@ -327,23 +475,29 @@ _LISTS = {
 class _Progress:
     """A bar on the terminal for whatever takes longer than two seconds; nothing when stderr is not one."""
 
-    def __init__(self, title: str, *, hidden: bool = False) -> None:
+    def __init__(self, title: str, *, unit: str = "s", hidden: bool = False) -> None:
         import time
 
-        self.title = title
+        self.title, self.unit = title, unit
         self.hidden = hidden or not sys.stderr.isatty()
         self.clock = time.monotonic
         self.begun = self.clock()
         self.drawn = self.begun + 1.8
+        self.first: float | None = None  # how much had been done before, when a campaign goes on
 
     def __call__(self, t: float, end: float | None) -> None:
         now = self.clock()
+        if self.first is None:
+            self.first, self.begun = t, now
         if self.hidden or now - self.drawn < 0.2:
             return
         self.drawn = now
         done = min(1.0, t / end) if end else 0.0
         bar = f"[{'#' * round(30 * done):30s}] {100 * done:3.0f} %" if end else ""
-        print(f"\r{self.title} {bar} {t:6.0f} s", end="", file=sys.stderr, flush=True)
+        left = ""
+        if end and t > self.first:
+            left = f", {(now - self.begun) * (end - t) / (t - self.first):.0f} s left "
+        print(f"\r{self.title} {bar} {t:6.0f} {self.unit}{left}", end="", file=sys.stderr, flush=True)
 
     @staticmethod
     def clear() -> None:
