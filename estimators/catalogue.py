@@ -32,7 +32,7 @@ class Method:
     name: str
     text: str  # what it is, one line
     source: str  # the paper
-    filter: str  # module:class
+    filter: str  # module:class; empty: the setting "filter" says which
     model: str  # module with `build`
     settings: Mapping[str, Setting]
     filter_settings: tuple[str, ...] = ()  # those that are fields of the filter's class
@@ -62,8 +62,41 @@ _MARG = {
     "speed_min": Setting(8.0, "m/s, below it the airspeed may be wind on the ground: not used", minimum=0.0),
     "unaided_factor": Setting(11.0, "on the accelerometer's variance while the aid is silent", minimum=1.0),
 }
+_FILTERS = {
+    "ekf": "estimators.filters.ekf:Ekf",
+    "ckf": "estimators.filters.ckf:Ckf",
+    "cdkf": "estimators.filters.cdkf:Cdkf",
+}
+
+
+def _ins(aiding: str, states: str = "21", accel_noise: float = 0.05) -> dict[str, Setting]:
+    return {
+        "filter": Setting("ekf", "how the errors are estimated", tuple(_FILTERS)),
+        **{name: setting for name, setting in _START.items() if name != "initialisation"},
+        "aiding": Setting(aiding, "what keeps the velocity", ("none", "gnss", "airspeed", "gnss+airspeed")),
+        "states": Setting(states, "15, or 21 with gyro scale and hard iron (and the wind with gnss+airspeed)", ("15", "21")),
+        "gyro_noise": Setting(1e-3, "rad/s/sqrt(Hz), beside the data sheet's: vibration", minimum=0.0),
+        "scale_share": Setting(0.6, "of the gyro's scale error, left as noise that grows with the rate", minimum=0.0),
+        "scale_time": Setting(5.0, "s, how long a rate lasts: correlation of that noise", above=0.0),
+        "accel_noise": Setting(accel_noise, "m/s2/sqrt(Hz), beside the data sheet's: vibration, turbulence", minimum=0.0),
+        "bias_time": Setting(300.0, "s, correlation of the in-run biases", above=0.0),
+        "velocity_share": Setting(1.5, "of the receiver's velocity sigma", above=0.0),
+        "position_share": Setting(3.0, "of the receiver's position sigma, whose error is correlated", above=0.0),
+        "heading_share": Setting(5.0, "of the dual-antenna sigma, whose error is correlated", above=0.0),
+        "mag_sigma": Setting(0.2, "field direction, rad, over the horizontal share of the field", above=0.0),
+        "norm_scale": Setting(0.05, "relative error of the field's norm that doubles the noise", above=0.0),
+        "dip_scale": Setting(0.1, "rad, error of the dip that doubles the noise", above=0.0),
+        "speed_sigma": Setting(1.0, "m/s, of the airspeed along the body", above=0.0),
+        "side": Setting(0.1, "of the airspeed, sideways, without vane", above=0.0),
+        "vertical": Setting(0.15, "of the airspeed, downwards, without vane", above=0.0),
+        "speed_min": Setting(8.0, "m/s, below it the airspeed may be wind on the ground: not used", minimum=0.0),
+        "wind_walk": Setting(0.3, "m/s per sqrt(s), random walk of the wind", minimum=0.0),
+    }
+
+
 _CDKF = {"h": Setting(math.sqrt(3.0), "interval of the central differences", minimum=1.0)}
 _PAPER_0 = "Han, Gan, He and Alazard 2013"
+_OWN = "beyond the papers"
 
 _METHODS = (
     Method(
@@ -77,6 +110,22 @@ _METHODS = (
     Method(
         "marg-cdkf", "Central difference Kalman filter on quaternion, body rate and gyro bias", _PAPER_0,
         "estimators.filters.cdkf:Cdkf", "estimators.models.marg", {**_MARG, **_CDKF}, ("h",),
+    ),
+    Method(
+        "ins21", "Inertial navigator, GNSS velocity and position, magnetic heading, 21 states", _OWN,
+        "", "estimators.models.ins", _ins("gnss"),
+    ),
+    Method(
+        "ins15", "Inertial navigator, GNSS velocity and position, magnetic heading, 15 states", _OWN,
+        "", "estimators.models.ins", _ins("gnss", "15"),
+    ),
+    Method(
+        "air-ins", "Inertial navigator in the air mass: airspeed as body velocity, magnetic heading", _OWN,
+        "", "estimators.models.ins", _ins("airspeed", accel_noise=0.15),
+    ),
+    Method(
+        "hand-ins", "Inertial navigator that stays where it is: hand-held, no velocity aid", _OWN,
+        "", "estimators.models.ins", _ins("none"),
     ),
 )  # fmt: skip
 _CATALOGUE = {method.name: method for method in _METHODS}
@@ -116,7 +165,7 @@ def _create(method: Method, site: Site, sensors: SensorInfo, settings: Mapping[s
     values = checked(method.name, method.settings, settings)
     from estimators.estimator import FilterEstimator  # compiles or loads kernels: not before it is needed
 
-    module, _, attribute = method.filter.partition(":")
+    module, _, attribute = (method.filter or _FILTERS[str(values["filter"])]).partition(":")
     make_filter = getattr(importlib.import_module(module), attribute)
     build = importlib.import_module(method.model).build
     filter_ = make_filter(**{key: values[key] for key in method.filter_settings})

@@ -38,8 +38,9 @@ def _predict(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarra
         for j in range(n):
             FP[a, j] = 0.0
         for k in range(columns):
-            for j in range(n):
-                FP[a, j] += F[a, k] * P[k, j]
+            if F[a, k] != 0.0:
+                for j in range(n):
+                    FP[a, j] += F[a, k] * P[k, j]
     for a in range(moved):
         for j in range(moved, n):
             P[a, j] = P[j, a] = FP[a, j]
@@ -47,7 +48,8 @@ def _predict(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarra
         for b in range(a + 1):
             total = 0.0
             for k in range(columns):
-                total += FP[a, k] * F[b, k]
+                if F[b, k] != 0.0:
+                    total += FP[a, k] * F[b, k]
             P[a, b] = P[b, a] = total
     process_noise(model, x, u, dt, P)
     return True
