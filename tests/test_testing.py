@@ -29,7 +29,13 @@ def test_every_figure_that_does_not_hold_is_named(fly_scenario: FlyScenario) -> 
             },
         )
     text = str(failure.value)
-    for words in ("tilt_rmse_deg is", "heading_p95_deg is", "availability is", "did you mean", "ekf-crh: not in the log"):
+    for words in (
+        "tilt_rmse_deg is",
+        "heading_p95_deg is",
+        "availability is",
+        "did you mean",
+        "ekf-crh: not in the log",
+    ):
         assert words in text, text
 
 
@@ -46,6 +52,16 @@ def test_the_documented_example_runs(tmp_path: Path) -> None:
     assert {name for name, _ in blocks} == {"my_filter.py", "test_my_filter.py"}
     for name, code in blocks:
         (tmp_path / name).write_text(code)
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", str(tmp_path), str(tmp_path)]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "--rootdir",
+        str(tmp_path),
+        str(tmp_path),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
