@@ -6,10 +6,13 @@ import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ahrs_sim.errors import AhrsSimError, InputError
+from ahrs_sim.errors import AhrsSimError, FlightError, InputError
 from estimators.errors import EstimationError
+
+if TYPE_CHECKING:
+    from ahrs_sim.scenario import Scenario
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -232,19 +235,27 @@ def _fly(arguments: argparse.Namespace) -> int:
             progress=_Progress(f"flying {scenario.name}", hidden=arguments.quiet or arguments.json),
             stopped=lambda: bool(stop),
         )
+    except FlightError:
+        _report(output, scenario, arguments)
+        raise
     finally:
         signal.signal(signal.SIGINT, previous)
         _Progress.clear()
-        if output.exists() and not arguments.quiet:
-            _report(output, arguments)
+    _report(output, scenario, arguments)
     return 130 if stop else 0
 
 
-def _report(output: Path, arguments: argparse.Namespace) -> None:
-    from ahrs_sim.review import compare
+def _report(output: Path, scenario: "Scenario", arguments: argparse.Namespace) -> None:
+    """The accuracy of what was just flown, and where its log is."""
+    if arguments.quiet:
+        return
+    if scenario.estimators:
+        from ahrs_sim.review import compare
 
-    result = compare.compare(output)
-    print(json.dumps(result, indent=1) if arguments.json else f"{compare.table(result)}\n{output}")
+        result = compare.compare(output)
+        print(json.dumps(result, indent=1) if arguments.json else compare.table(result))
+    if not arguments.json:
+        print(output)
 
 
 def _replay(arguments: argparse.Namespace) -> None:
