@@ -15,6 +15,10 @@ A suite is a TOML file:
     method = "package.module:Class"
     suite = "chr"
 
+    [every]                            # also every shipped scenario that has no flight below
+    at_most_s = 150.0
+    seeds = [1, 2, 3]
+
     [[flight]]
     scenario = "circuit"               # a path from the suite's folder, or a shipped one
     seeds = [1, 2, 3]
@@ -41,6 +45,7 @@ import numpy as np
 
 from ahrs_sim import runs as flights
 from ahrs_sim import scenario as scenarios
+from ahrs_sim.data import scenario_dir
 from ahrs_sim.errors import CheckError, InputError
 from ahrs_sim.runs import Run
 from ahrs_sim.statistics import interval
@@ -168,6 +173,8 @@ def load(path: str | None = None) -> Suite:
     if on:
         estimators |= {f"{method}-{on}": {"method": method, "suite": on} for method in _methods()}
     listed = [_flight(t, file, estimators) for t in table.list_of_tables("flight")]
+    if table.has("every"):
+        listed += _every(table.table("every"), file, estimators, {f.run.name for f in listed})
     suite = Suite(file.stem, file.parent / table.text("baseline", f"{file.stem}.json"), tolerance, tuple(listed))
     table.close()
     names = [f.name for f in listed]
@@ -183,6 +190,25 @@ def _methods() -> list[str]:
     import estimators
 
     return [method.name for method in estimators.describe()]
+
+
+def _every(table: Table, file: Path, estimators: Mapping[str, Any], listed: set[str]) -> list[Flight]:
+    """A flight for each shipped scenario that has none, with those of the estimators that its suites can feed."""
+    seeds, limit = table.value("seeds", [1, 2, 3]), table.number("at_most_s", math.inf, above=0.0)
+    table.close()
+    made = []
+    for path in sorted(scenario_dir().glob("*.toml")):
+        if path.stem in listed:
+            continue
+        scenario = scenarios.load(str(path))
+        suites = {s.name for s in scenario.suites}
+        fitting = {name: settings for name, settings in estimators.items() if settings.get("suite") in suites}
+        if fitting or not estimators:
+            flight: dict[str, Any] = {"scenario": str(path), "seeds": seeds}
+            if limit < (scenario.duration or math.inf):
+                flight["duration_s"] = limit
+            made.append(_flight(Table(flight, f"{table.where}: {path.stem}"), file, fitting))
+    return made
 
 
 def _flight(table: Table, file: Path, estimators: Mapping[str, Any]) -> Flight:

@@ -238,13 +238,13 @@ def test_knobs(short: Path) -> None:
 
 @pytest.mark.long
 def test_tuning_finds_the_better_setting(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A filter told that its accelerometer is useless must learn from the search that it is not."""
-    text = short.read_text().replace("duration_s = 24.0", "duration_s = 60.0")
-    short.write_text(text + 'noise = "practical"\naccel_sigma = 50.0\n')
-    tune = ["--tune", "ekf.accel_sigma=0.05..50", "--json", "--workers", "2"]
+    """A filter told that rates hardly change lags behind; the search must find that they do."""
+    text = short.read_text().replace("duration_s = 24.0", "duration_s = 40.0")
+    short.write_text(text + 'noise = "practical"\nrate_noise = 1e-4\n')
+    tune = ["--tune", "ekf.rate_noise=1e-4..1", "--metric", "total_rmse_deg", "--json", "--workers", "2"]
     assert main(["campaign", str(short), "--runs", "4", *tune]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["settings"]["ekf.accel_sigma"] < 10
+    assert found["settings"]["ekf.rate_noise"] > 1e-3
     assert found["low"] > 0
     assert found["after"] < found["before"]
 
