@@ -97,23 +97,23 @@ def replay(
     from ahrs_sim.bags.mapping import SUITE
     from ahrs_sim.bags.recording import open_bag
 
-    bag = open_bag(path, map_file=map_file, calibrate=calibrate, sync=sync, names=estimators)
-    reader = getattr(bag.source, "reader", None)
-    records = [i for i in bag.instruments if i in INSTRUMENTS]
-    recording = Recording(
-        site=bag.site,
-        sensors={SUITE: bag.sensors},
-        estimators=bag.estimators,
-        blocks=bag.blocks(),
-        epoch_ns=bag.source.epoch_ns,
-        duration=bag.source.duration,
-        carried=reader,
-        written={} if reader or only_estimates else {SUITE: records},
-        has_reference="reference" in bag.converter.chosen,
-        metadata={"replay": bag.metadata},
-    )
-    _run(recording, output, prefixes, force, progress)
-    return bag.notes + bag.counted()
+    with open_bag(path, map_file=map_file, calibrate=calibrate, sync=sync, names=estimators) as bag:
+        reader = getattr(bag.source, "reader", None)
+        records = [i for i in bag.instruments if i in INSTRUMENTS]
+        recording = Recording(
+            site=bag.site,
+            sensors={SUITE: bag.sensors},
+            estimators=bag.estimators,
+            blocks=bag.blocks(),
+            epoch_ns=bag.source.epoch_ns,
+            duration=bag.source.duration,
+            carried=reader,
+            written={} if reader or only_estimates else {SUITE: records},
+            has_reference="reference" in bag.converter.chosen,
+            metadata={"replay": bag.metadata},
+        )
+        _run(recording, output, prefixes, force, progress)
+        return bag.notes + bag.counted()
 
 
 def accuracy(

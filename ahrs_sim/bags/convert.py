@@ -107,10 +107,11 @@ class Converter:
             yield rest
 
     def _release(self, until: int) -> SuiteBlock:
-        out = {kind: queue.release(until) for kind, queue in self._queues.items()}
-        fix, velocity = out.get("fix"), out.get("velocity")
-        if fix is not None and velocity is not None:
-            out["velocity"] = _together(velocity, fix)
+        gnss = [self._queues[kind] for kind in ("fix", "velocity") if kind in self._queues]
+        cut = _before_pair(until, [queue.waiting for queue in gnss])
+        out = {kind: q.release(cut if q in gnss else until, until) for kind, q in self._queues.items()}
+        if len(gnss) == 2:
+            out["fix"], out["velocity"] = _together(out["fix"], out["velocity"])
         return out if any(len(r) for r in out.values()) else {}
 
     def _take(self, block: dict[str, np.ndarray]) -> None:
@@ -253,8 +254,14 @@ class _Queue:
         self._newest = max(self._newest, int(ns.max()))
         self._held = type(records).concatenate([self._held, records]) if len(self._held) else records
 
-    def release(self, until: int) -> Any:
-        """Everything stamped up to `until`, in order."""
+    @property
+    def waiting(self) -> np.ndarray:
+        """Stamps (n,) ns of what has not been released."""
+        stamps: np.ndarray = self._held.stamp_ns
+        return stamps
+
+    def release(self, until: int, imu: int) -> Any:
+        """Everything stamped up to `until`, in order; the IMU is released up to `imu`."""
         ns = self._held.stamp_ns
         early = ns <= until
         taken = _picked(self._held, np.flatnonzero(early)[np.argsort(ns[early], kind="stable")])
@@ -271,7 +278,7 @@ class _Queue:
             self._last = int(ns[-1])
         # What belongs to rows of the IMU that are gone arrives with the next.
         taken = dataclasses.replace(taken, arrival_ns=np.maximum(taken.arrival_ns, self._floor))
-        self._floor = max(self._floor, until) if until < np.iinfo(np.int64).max else self._floor
+        self._floor = max(self._floor, imu) if imu < np.iinfo(np.int64).max else self._floor
         return taken
 
     def _gaps(self, steps: np.ndarray) -> None:
@@ -286,13 +293,31 @@ def _picked(block: Any, rows: np.ndarray) -> Any:
     return type(block)(*(getattr(block, f.name)[rows] for f in dataclasses.fields(block)))
 
 
-def _together(velocity: Any, fix: Any) -> Any:
-    """Velocities with the stamp of the fix that they belong to: estimators take both as of one instant."""
+def _before_pair(until: int, stamps_ns: Iterable[np.ndarray]) -> int:
+    """The last time up to `until` that does not part a fix from its velocity."""
+    if until == np.iinfo(np.int64).max:
+        return until
+    every = np.sort(np.concatenate([*stamps_ns, np.empty(0, np.int64)]))
+    for ns in every[every <= until][::-1]:
+        if until - ns > SAME_NS:
+            break
+        until = int(ns) - 1
+    return until
+
+
+def _together(fix: Any, velocity: Any) -> tuple[Any, Any]:
+    """Fixes and velocities of one solution with one stamp, arriving at once: estimators take both as of one instant."""
     if not len(velocity) or not len(fix):
-        return velocity
-    right = np.clip(np.searchsorted(fix.stamp_ns, velocity.stamp_ns), 1, max(len(fix) - 1, 1))
-    near = np.stack([fix.stamp_ns[right - 1], fix.stamp_ns[np.minimum(right, len(fix) - 1)]])
-    off = np.abs(near - velocity.stamp_ns)
-    best = np.where(off[0] <= off[1], near[0], near[1])
-    stamp = np.where(off.min(axis=0) <= SAME_NS, best, velocity.stamp_ns)
-    return dataclasses.replace(velocity, stamp_ns=stamp, arrival_ns=np.maximum(velocity.arrival_ns, stamp))
+        return fix, velocity
+    last = len(fix) - 1
+    right = np.searchsorted(fix.stamp_ns, velocity.stamp_ns)
+    sides = np.stack([np.clip(right - 1, 0, last), np.clip(right, 0, last)])
+    off = np.abs(fix.stamp_ns[sides] - velocity.stamp_ns)
+    partner = np.where(off[0] <= off[1], sides[0], sides[1])
+    mine = np.flatnonzero(off.min(axis=0) <= SAME_NS)
+    partner = partner[mine]
+    stamp, there, here = velocity.stamp_ns.copy(), velocity.arrival_ns.copy(), fix.arrival_ns.copy()
+    stamp[mine] = fix.stamp_ns[partner]
+    there[mine] = here[partner] = np.maximum(velocity.arrival_ns[mine], fix.arrival_ns[partner])
+    fix = dataclasses.replace(fix, arrival_ns=np.maximum.accumulate(here))
+    return fix, dataclasses.replace(velocity, stamp_ns=stamp, arrival_ns=np.maximum.accumulate(there))

@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 
@@ -29,7 +30,7 @@ _METHODS = (("ins21", "gnss"), ("air-ins", "airspeed"), ("hand-ins", "none"))
 
 @dataclass
 class Bag:
-    """What a replay needs to know of a recording."""
+    """A recording ready for a replay; closes as a context manager."""
 
     source: Source
     site: Site
@@ -39,6 +40,14 @@ class Bag:
     metadata: dict[str, str]
     notes: list[str]
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.source.close()
+
     @property
     def instruments(self) -> list[str]:
         """Kinds of records that come."""
@@ -46,7 +55,7 @@ class Bag:
         return [*kinds, "air"] if "diff_pressure" in kinds and "air" not in kinds else kinds
 
     def blocks(self) -> Iterator[dict[str, SuiteBlock]]:
-        """Records by suite, in order."""
+        """Records by suite, in order; once."""
         topics = [c.topic.name for c in self.converter.chosen.values()]
         for block in self.converter.records(self.source.blocks(topics)):
             yield {SUITE: block}
@@ -73,6 +82,15 @@ def open_bag(
     """
     map_ = mapping.load(map_file)
     source = open_source(path, map_.table)
+    try:
+        return _opened(source, map_, calibrate, sync, names)
+    except BaseException:
+        source.close()
+        raise
+
+
+def _opened(source: Source, map_: Map, calibrate: Sequence[str], sync: bool, names: Sequence[str]) -> Bag:
+    path = source.path
     chosen = mapping.choose(source, map_)
     topics = [c.topic.name for c in chosen.values()]
     nothing = Calibration(np.zeros(3), np.eye(3), map_.gyro_bias)

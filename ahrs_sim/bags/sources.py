@@ -57,6 +57,10 @@ class Source(Protocol):
         """Messages by topic, portion by portion, in the order of log time."""
         ...
 
+    def close(self) -> None:
+        """Close the file."""
+        ...
+
 
 def open_source(path: Path, mapping: Table) -> Source:
     """The recording at `path`, by its suffix.
@@ -85,10 +89,14 @@ class Mcap:
         self.reader = LogReader(path)
         first, last = self.reader.time_range_ns
         self.epoch_ns, self.duration = first, (last - first) / 1e9
+        refused = ""
         if self.reader.message_count == 0:
-            raise InputError(f"{path}: no messages in it; nothing to replay")
-        if self.reader.profile not in ("ros2", ""):
-            raise InputError(f"{path}: profile '{self.reader.profile}'; only ROS 2 bags ('ros2') can be replayed")
+            refused = "no messages in it; nothing to replay"
+        elif self.reader.profile not in ("ros2", ""):
+            refused = f"profile '{self.reader.profile}'; only ROS 2 bags ('ros2') can be replayed"
+        if refused:
+            self.close()
+            raise InputError(f"{path}: {refused}")
 
     def topics(self) -> list[Topic]:
         """All topics of messages in CDR."""
@@ -98,6 +106,10 @@ class Mcap:
     def blocks(self, topics: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
         """As `LogReader.blocks`."""
         return self.reader.blocks(list(topics))
+
+    def close(self) -> None:
+        """Close the file."""
+        self.reader.close()
 
 
 class Db3:
@@ -112,12 +124,17 @@ class Db3:
         try:
             self._reader = module.Reader(path)
             self._reader.open()
+        except Exception as error:  # sqlite3 and rosbags raise many kinds for a file that is none
+            raise InputError(f"{path}: no ROS 2 bag: {_line(error)}") from None
+        try:
             self._connections = {c.topic: c for c in self._reader.connections}
             self.epoch_ns, self.duration = self._reader.start_time, self._reader.duration / 1e9
             empty = self._reader.message_count == 0
-        except Exception as error:  # sqlite3 and rosbags raise many kinds for a file that is none
+        except Exception as error:
+            self.close()
             raise InputError(f"{path}: no ROS 2 bag: {_line(error)}") from None
         if empty:
+            self.close()
             raise InputError(f"{path}: no messages in it; nothing to replay")
 
     def topics(self) -> list[Topic]:
@@ -138,6 +155,10 @@ class Db3:
             yield {t: _decoded(*kinds[t], rows) for t, rows in waiting.items()}
         except (CdrError, *self._error) as error:
             raise InputError(f"{self.path}: damaged: {_line(error)}") from None
+
+    def close(self) -> None:
+        """Close the file."""
+        self._reader.close()
 
     def _definitions(self, connection: Any) -> tuple[Any, str]:
         name, text = connection.msgtype, connection.msgdef.data
@@ -208,6 +229,9 @@ class _Held:
         keys = {t: (a["log_time"] - self.epoch_ns) // step for t, a in arrays.items()}
         for k in sorted(set().union(*(np.unique(v).tolist() for v in keys.values()))):
             yield {t: a[keys[t] == k] for t, a in arrays.items()}
+
+    def close(self) -> None:
+        """Nothing is open."""
 
 
 # ----------------------------------------------------------------------------------------------- CSV
@@ -314,7 +338,8 @@ class Ulog(_Held):
             raise InputError(f"{path}: cannot be read: no such file")
         module = _extra("pyulog", "pyulog", "ulog")
         try:
-            log = module.ULog(str(path))
+            with path.open("rb") as stream:
+                log = module.ULog(stream)
         except Exception as error:  # it raises whatever parsing a foreign file meets
             raise InputError(f"{path}: no ULog: {_line(error)}") from None
         self._data: dict[str, Mapping[str, np.ndarray]] = {}

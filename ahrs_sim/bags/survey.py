@@ -30,7 +30,7 @@ _LOSS = 1e-6  # T: a field's error from which on a reading counts as disturbed
 class Survey:
     """Means over bins of `BIN_S`, in FRD; the magnetometer as reported (T, axes of its messages)."""
 
-    t: np.ndarray  # (n,) s, middle of the bins
+    t: np.ndarray  # (n,) s, mean of the stamps
     gyro_b: np.ndarray  # (n, 3) rad/s
     accel_b: np.ndarray  # (n, 3) m/s2
     scatter: np.ndarray  # (n, 2) greatest deviation of gyro and accelerometer within the bin
@@ -69,7 +69,7 @@ def look(blocks: Iterable[SuiteBlock]) -> Survey:
         t = imu.stamp_ns * 1e-9
         if len(t) > 1:
             intervals.append(float(np.median(np.diff(t))))
-        inertial.append(_bins(t, np.column_stack([imu.gyro_b, imu.accel_b])))
+        inertial.append(_bins(t, np.column_stack([t, imu.gyro_b, imu.accel_b])))
         field: Any = block.get("mag")
         if field is not None:
             magnetic.append(_bins(field.stamp_ns * 1e-9, field.mag_b))
@@ -83,16 +83,16 @@ def look(blocks: Iterable[SuiteBlock]) -> Survey:
             known = np.isfinite(reference.q_nb).all(axis=1)
             times.append(reference.stamp_ns[known] * 1e-9)
             attitudes.append(reference.q_nb[known])
-    rows = np.concatenate([*inertial, np.empty((0, 14))])
+    rows = np.concatenate([*inertial, np.empty((0, 16))])
     fields = np.concatenate([*magnetic, np.empty((0, 8))])
     mag = np.full((len(rows), 3), np.nan)
     _, here, there = np.intersect1d(rows[:, 0], fields[:, 0], return_indices=True)
     mag[here] = fields[there, 2:5]
     return Survey(
-        t=(rows[:, 0] + 0.5) * BIN_S,
-        gyro_b=rows[:, 2:5],
-        accel_b=rows[:, 5:8],
-        scatter=np.column_stack([rows[:, 8:11].max(axis=1, initial=0), rows[:, 11:14].max(axis=1, initial=0)]),
+        t=rows[:, 2],
+        gyro_b=rows[:, 3:6],
+        accel_b=rows[:, 6:9],
+        scatter=np.column_stack([rows[:, 10:13].max(axis=1, initial=0), rows[:, 13:16].max(axis=1, initial=0)]),
         mag=mag,
         rate=1.0 / float(np.median(intervals)) if intervals else math.nan,
         lla=lla,
@@ -245,7 +245,7 @@ def turns(s: Survey, axes: np.ndarray) -> Turns:
         norm = np.linalg.norm(angle, axis=1, keepdims=True)
         step = np.concatenate([np.cos(norm / 2), 0.5 * np.sinc(norm / (2 * math.pi)) * angle], axis=1)
         q = frames.product(step, q)
-    whole = np.abs(s.t[_TURN_BINS:] - s.t[:n] - _TURN_BINS * BIN_S) < 0.1 * BIN_S
+    whole = np.abs(s.t[_TURN_BINS:] - s.t[:n] - _TURN_BINS * BIN_S) < 0.5 * BIN_S
     turned = np.linalg.norm(q[:, 1:], axis=1) > math.sin(math.radians(2.5))
     good = np.flatnonzero(whole & turned & np.isfinite(s.mag[:n] + s.mag[_TURN_BINS:]).all(axis=1))
     good = good[:: max(1, len(good) // _POINTS)]

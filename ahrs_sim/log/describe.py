@@ -24,6 +24,7 @@ def reference() -> str:
     parts += ["", "### Each sensor suite", "", *_topics(suite)]
     parts += ["", "### Each estimator", "", *_topics(estimator)]
     parts += ["", "### Pilot and events", "", *_topics((record.SETPOINTS, record.EVENTS)), ""]
+    parts += ["### Replay of a bag", "", *_topics((record.REFERENCE,)), ""]
     parts += ["## Types of our own", ""]
     for name in messages.type_names():
         if name.startswith("ahrs_sim_msgs/"):
