@@ -201,6 +201,8 @@ def _every(table: Table, file: Path, estimators: Mapping[str, Any], listed: set[
         if path.stem in listed:
             continue
         scenario = scenarios.load(str(path))
+        if not scenario.estimators:  # not meant for any
+            continue
         suites = {s.name for s in scenario.suites}
         fitting = {name: settings for name, settings in estimators.items() if settings.get("suite") in suites}
         if fitting or not estimators:

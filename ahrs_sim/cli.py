@@ -295,9 +295,7 @@ def _compare(arguments: argparse.Namespace) -> None:
     from ahrs_sim.review import compare
 
     span = {"reference": arguments.reference, "start": arguments.start, "end": arguments.end}
-    results = [
-        compare.compare(log, **span, align=arguments.align, sync=arguments.sync) for log in arguments.log
-    ]
+    results = [compare.compare(log, **span, align=arguments.align, sync=arguments.sync) for log in arguments.log]
     if arguments.json:
         print(json.dumps(results[0] if len(results) == 1 else results, indent=1))
     elif arguments.csv:
@@ -401,8 +399,9 @@ def _campaign(arguments: argparse.Namespace) -> int:
         raise InputError("--keep-logs needs a local -o; fly single runs with ahrs-sim fly --from DIR --run N")
     with runs.pool(arguments.workers, arguments.scheduler) as pool:
         campaign.fly(plan, store, pool, _Progress(f"flying {plan.name}", unit="runs", hidden=hidden))
-        if keep:
-            worst = campaign_report.worst_runs(store, arguments.metric, keep)
+    if keep:
+        worst = campaign_report.worst_runs(store, arguments.metric, keep)
+        with runs.local_pool(arguments.workers) as pool:  # the workers of a cluster may not see this disk
             for _ in campaign.keep_logs(plan, worst, Path(arguments.output) / "logs", pool):
                 pass  # runs that fail leave a log up to there
     _Progress.clear()

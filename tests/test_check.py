@@ -178,7 +178,8 @@ def test_the_standard_suite_has_every_scenario_and_method() -> None:
     import estimators
 
     suite = check.load()
-    fed = {p.stem for p in scenario_dir().glob("*.toml") if "chr" in load(str(p)).data["suite"]}
+    shipped = [load(str(p)) for p in scenario_dir().glob("*.toml")]
+    fed = {s.name for s in shipped if s.estimators and "chr" in s.data["suite"]}
     assert {f.run.name for f in suite.flights} >= fed
     for flight in suite.flights:
         if "chr" not in flight.run.data["suite"]:
