@@ -1,0 +1,101 @@
+"""Fly the circuit with the filters of the paper and the practical ones; renew the README's table and picture.
+
+python docs/circuit.py
+"""
+
+import re
+import tempfile
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+from ahrs_sim import pipeline, scenario
+from ahrs_sim.log.record import FlightReader
+from ahrs_sim.review import compare, metrics
+
+HERE = Path(__file__).parent
+PRACTICAL = {
+    "ckf-air-chr": {"method": "marg-ckf", "suite": "chr", "aiding": "airspeed"},
+    "air-ins-chr": {"method": "air-ins", "suite": "chr"},
+    "ins21-chr": {"method": "ins21", "suite": "chr"},
+    "ins21-sbg": {"method": "ins21", "suite": "sbg"},
+}
+TOLD = {
+    "ekf-chr": "EKF of the paper",
+    "ckf-chr": "CKF of the paper",
+    "cdkf-chr": "CDKF of the paper",
+    "ekf-sbg": "EKF of the paper, better unit",
+    "ckf-air-chr": "CKF, airspeed aided",
+    "air-ins-chr": "inertial navigator on airspeed",
+    "ins21-chr": "inertial navigator on GNSS",
+    "ins21-sbg": "the same, better unit",
+}
+SHOWN = {"ckf-chr": "CKF of the paper", "ckf-air-chr": "CKF, airspeed aided", "ins21-chr": "ins21, GNSS aided"}
+
+
+def main() -> None:
+    """Renew both."""
+    plain = scenario.load("circuit")
+    data = plain.data | {"estimator": plain.data["estimator"] | PRACTICAL}
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "circuit.mcap"
+        pipeline.fly(scenario.parse(data, "circuit", "circuit"), log)
+        table(compare.compare(log)["estimators"])
+        picture(log)
+
+
+def table(estimators: dict) -> None:
+    """The README's table between its two marks."""
+    phases = ["ground", "straight", "turning"]
+    rows = ["| | | " + " | ".join(phases) + " | whole flight |", "|---|---|" + "---|" * 4]
+    for name, values in estimators.items():
+        cells = [values["phases"][p] for p in phases] + [values]
+        numbers = " | ".join(f"{c['tilt_rmse_deg']:.2f} / {c['heading_rmse_deg']:.2f}" for c in cells)
+        rows.append(f"| `{name}` | {TOLD[name]} | {numbers} |")
+    readme = HERE.parent / "README.md"
+    text = re.sub(
+        r"(<!-- circuit: begin -->\n).*?(<!-- circuit: end -->)",
+        lambda m: m[1] + "\n".join(rows) + "\n" + m[2],
+        readme.read_text(),
+        flags=re.DOTALL,
+    )
+    readme.write_text(text)
+
+
+def picture(log: Path) -> None:
+    """Roll, tilt error and ground track."""
+    with FlightReader(log) as reader:
+        truth = reader.truth()
+        estimates = {name: reader.estimates(name) for name in SHOWN}
+    figure = plt.figure(figsize=(11, 5.2), layout="constrained")
+    grid = figure.add_gridspec(2, 2, width_ratios=[2.2, 1])
+    roll, tilt, track = (figure.add_subplot(g) for g in (grid[0, 0], grid[1, 0], grid[:, 1]))
+    roll.plot(truth.t, np.degrees(metrics.euler(truth.q_nb)[:, 0]), color="black", lw=1.5, label="truth")
+    for (name, told), color in zip(SHOWN.items(), ("tab:red", "tab:orange", "tab:blue"), strict=True):
+        e = estimates[name]
+        errors = metrics.attitude_errors(e.q_nb, e.down_b, metrics.interpolate(truth.t, truth.q_nb, e.t))
+        roll.plot(e.t, np.degrees(metrics.euler(e.q_nb)[:, 0]), color=color, lw=0.8, label=told)
+        tilt.semilogy(e.t, np.degrees(errors[:, 3]), color=color, lw=0.8)
+    roll.set_ylabel("roll, deg")
+    tilt.set_ylabel("tilt error, deg")
+    tilt.set_ylim(0.02, 90)
+    tilt.set_xlabel("time, s")
+    roll.sharex(tilt)
+    roll.legend(loc="upper right", fontsize=8, ncols=2)
+    north = (truth.lla[:, 0] - truth.lla[0, 0]) * 6.37e6
+    east = (truth.lla[:, 1] - truth.lla[0, 1]) * 6.37e6 * np.cos(truth.lla[0, 0])
+    dots = track.scatter(east, north, c=truth.height_agl, s=1, cmap="viridis")
+    figure.colorbar(dots, ax=track, label="height, m", location="bottom", shrink=0.8)
+    track.set_aspect("equal")
+    track.set_title("ground track, m", fontsize=10)
+    for axes in (roll, tilt, track):
+        axes.grid(alpha=0.3)
+    figure.savefig(HERE / "circuit.png", dpi=100)
+
+
+if __name__ == "__main__":
+    main()
