@@ -45,6 +45,22 @@ _START = {
     "align_s": Setting(20.0, "s, stationary stretch that is averaged", minimum=1.0, maximum=3600.0),
     "wait_s": Setting(60.0, "s, wait for it so long, then align coarsely", minimum=1.0, maximum=3600.0),
 }
+
+
+def _adaptation(default: str = "none", turn_deg: float = 2.0, accel: float = 0.02) -> dict[str, Setting]:
+    """Settings of `estimators.adaptation`, for any method."""
+    return {
+        "adaptation": Setting(default, "how far measurements are trusted", ("none", "switched", "fuzzy", "gate")),
+        "switch_turn_rate": Setting(math.radians(turn_deg), "rad/s, switched: turning above it", above=0.0),
+        "switch_accel": Setting(accel, "switched: accelerating when |f|/g is further than that from 1", above=0.0),
+        "fuzzy_memory": Setting(0.98, "fuzzy: b, forgetting of the innovations", minimum=0.9, maximum=0.9999),
+        "fuzzy_lowest": Setting(0.1, "fuzzy: least share of the variance", above=0.0, maximum=1.0),
+        "fuzzy_highest": Setting(1e6, "fuzzy: most, in multiples of the variance", minimum=1.0),
+        "gate_sigma": Setting(4.0, "gate: innovations beyond are refused", above=0.0),
+        "gate_patience": Setting(5.0, "s, gate: refused so long without a break, believed again", minimum=0.0),
+    }
+
+
 _MARG = {
     **_START,
     "aiding": Setting("none", "what is added to gravity in the accelerometer's model", ("none", "airspeed", "gnss")),
@@ -54,18 +70,20 @@ _MARG = {
         "auto: from-ground without aiding, practical with it",
         ("auto", "from-ground", "practical"),
     ),
-    "accel_sigma": Setting(1.5, "m/s2, practical: vibration, turbulence and model errors, not sensor noise", above=0.0),
+    "accel_sigma": Setting(3.0, "m/s2, practical: vibration, turbulence and model errors, not sensor noise", above=0.0),
     "mag_sigma": Setting(4e-6, "T, practical", above=0.0),
     "rate_noise": Setting(0.035, "rad/s per sqrt(s), practical: how fast the body rate may change", above=0.0),
-    "bias_walk": Setting(1e-5, "rad/s per sqrt(s), random walk of the gyro bias", minimum=0.0),
+    "bias_walk": Setting(3e-5, "rad/s per sqrt(s), random walk of the gyro bias", minimum=0.0),
     "speed_filter": Setting(0.5, "s, time constant of the derivative of the airspeed", above=0.0),
     "speed_min": Setting(8.0, "m/s, below it the airspeed may be wind on the ground: not used", minimum=0.0),
     "unaided_factor": Setting(11.0, "on the accelerometer's variance while the aid is silent", minimum=1.0),
+    **_adaptation(),
 }
 _FILTERS = {
     "ekf": "estimators.filters.ekf:Ekf",
     "ckf": "estimators.filters.ckf:Ckf",
     "cdkf": "estimators.filters.cdkf:Cdkf",
+    "ukf": "estimators.filters.ukf:Ukf",
 }
 
 
@@ -74,16 +92,20 @@ def _ins(aiding: str, states: str = "21", accel_noise: float = 0.05) -> dict[str
         "filter": Setting("ekf", "how the errors are estimated", tuple(_FILTERS)),
         **{name: setting for name, setting in _START.items() if name != "initialisation"},
         "aiding": Setting(aiding, "what keeps the velocity", ("none", "gnss", "airspeed", "gnss+airspeed")),
-        "states": Setting(states, "15, or 21 with gyro scale and hard iron (and the wind with gnss+airspeed)", ("15", "21")),
+        "states": Setting(
+            states, "15, or 21 with gyro scale and hard iron (and the wind with gnss+airspeed)", ("15", "21")
+        ),
         "gyro_noise": Setting(1e-3, "rad/s/sqrt(Hz), beside the data sheet's: vibration", minimum=0.0),
-        "scale_share": Setting(0.6, "of the gyro's scale error, left as noise that grows with the rate", minimum=0.0),
+        "scale_share": Setting(0.4, "of the gyro's scale error, left as noise that grows with the rate", minimum=0.0),
         "scale_time": Setting(5.0, "s, how long a rate lasts: correlation of that noise", above=0.0),
-        "accel_noise": Setting(accel_noise, "m/s2/sqrt(Hz), beside the data sheet's: vibration, turbulence", minimum=0.0),
+        "accel_noise": Setting(
+            accel_noise, "m/s2/sqrt(Hz), beside the data sheet's: vibration, turbulence", minimum=0.0
+        ),
         "bias_time": Setting(300.0, "s, correlation of the in-run biases", above=0.0),
         "velocity_share": Setting(1.5, "of the receiver's velocity sigma", above=0.0),
         "position_share": Setting(3.0, "of the receiver's position sigma, whose error is correlated", above=0.0),
         "heading_share": Setting(5.0, "of the dual-antenna sigma, whose error is correlated", above=0.0),
-        "mag_sigma": Setting(0.2, "field direction, rad, over the horizontal share of the field", above=0.0),
+        "mag_sigma": Setting(0.15, "field direction, rad, over the horizontal share of the field", above=0.0),
         "norm_scale": Setting(0.05, "relative error of the field's norm that doubles the noise", above=0.0),
         "dip_scale": Setting(0.1, "rad, error of the dip that doubles the noise", above=0.0),
         "speed_sigma": Setting(1.0, "m/s, of the airspeed along the body", above=0.0),
@@ -91,11 +113,68 @@ def _ins(aiding: str, states: str = "21", accel_noise: float = 0.05) -> dict[str
         "vertical": Setting(0.15, "of the airspeed, downwards, without vane", above=0.0),
         "speed_min": Setting(8.0, "m/s, below it the airspeed may be wind on the ground: not used", minimum=0.0),
         "wind_walk": Setting(0.3, "m/s per sqrt(s), random walk of the wind", minimum=0.0),
+        **_adaptation(),
     }
 
 
+_ALIGNED = {name: setting for name, setting in _START.items() if name != "initialisation"}
+
+
+def _attitude_error(adaptation: str) -> dict[str, Setting]:
+    return {
+        "filter": Setting("ekf", "how the errors are estimated", tuple(_FILTERS)),
+        **_ALIGNED,
+        "noise": Setting(
+            "practical",
+            "sensors: R from the data sheet; from-ground: from the stationary stretch; practical: the settings below",
+            ("practical", "from-ground", "sensors"),
+        ),
+        "accel_sigma": Setting(3.0, "m/s2, practical: manoeuvres and vibration, not sensor noise", above=0.0),
+        "mag_sigma": Setting(4e-6, "T, practical", above=0.0),
+        "bias_walk": Setting(3e-5, "rad/s per sqrt(s), random walk of the gyro bias", minimum=0.0),
+        **_adaptation(adaptation),
+    }
+
+
+def _tilt(adaptation: str) -> dict[str, Setting]:
+    return {
+        "filter": Setting("ekf", "how the errors are estimated", tuple(_FILTERS)),
+        **_ALIGNED,
+        "accel_sigma": Setting(0.05, "of the measured direction of gravity, in parts of gravity", above=0.0),
+        "gyro_noise": Setting(3e-4, "rad/s/sqrt(Hz), at least that, beside the data sheet's", minimum=0.0),
+        "bias_time": Setting(100.0, "s, low-pass of the gyro bias", above=0.0),
+        "bias_start": Setting("aligned", "gyro bias before it is learned", ("aligned", "zero")),
+        **_adaptation(adaptation, accel=0.01),
+    }
+
+
+_INS9 = {
+    **_ALIGNED,
+    "heading_aid": Setting(True, "use dual antenna and course; false: place and velocity alone"),
+    "rodrigues_a": Setting(1.0, "a of the generalised Rodrigues parameters", minimum=0.0, maximum=1.0),
+    "gyro_noise": Setting(1e-3, "rad/s/sqrt(Hz), at least that: biases and scale, which are no states", minimum=0.0),
+    "accel_noise": Setting(0.05, "m/s2/sqrt(Hz), at least that, likewise", minimum=0.0),
+    "position_share": Setting(3.0, "of the receiver's position sigma, whose error is correlated", above=0.0),
+    "velocity_share": Setting(1.5, "of the receiver's velocity sigma", above=0.0),
+    "heading_share": Setting(3.0, "of the dual-antenna sigma, whose error is correlated", above=0.0),
+    "drift_sigma": Setting(0.02, "rad, between course and heading; an aircraft in wind: wind over airspeed", above=0.0),
+    "course_speed": Setting(3.0, "m/s, no course below it", above=0.0),
+    "wind_north": Setting(
+        0.0, "m/s, known wind (towards north), taken off before the course", minimum=-100, maximum=100
+    ),
+    "wind_east": Setting(0.0, "m/s, towards east", minimum=-100, maximum=100),
+    **_adaptation("switched", accel=1000.0),
+}
+_UKF = {
+    "alpha": Setting(1.0, "spread of the sigma points", above=0.0, maximum=2.0),
+    "beta": Setting(2.0, "weight of the centre in the covariance, 2 for a Gaussian", minimum=0.0),
+    "kappa": Setting(0.0, "further spread, n + kappa", minimum=0.0),
+}
 _CDKF = {"h": Setting(math.sqrt(3.0), "interval of the central differences", minimum=1.0)}
 _PAPER_0 = "Han, Gan, He and Alazard 2013"
+_PAPER_1 = "Zhao, Jia, Jin, Tian and Xiong 2015"
+_PAPER_2 = "Tian, Sun, Li and Yan 2011"
+_PAPER_4 = "Yao 2012"
 _OWN = "beyond the papers"
 
 _METHODS = (
@@ -110,6 +189,34 @@ _METHODS = (
     Method(
         "marg-cdkf", "Central difference Kalman filter on quaternion, body rate and gyro bias", _PAPER_0,
         "estimators.filters.cdkf:Cdkf", "estimators.models.marg", {**_MARG, **_CDKF}, ("h",),
+    ),
+    Method(
+        "marg-ukf", "Unscented Kalman filter on quaternion, body rate and gyro bias", _OWN,
+        "estimators.filters.ukf:Ukf", "estimators.models.marg", {**_MARG, **_UKF}, tuple(_UKF),
+    ),
+    Method(
+        "fakf", "Attitude error and gyro bias, noise of each sensor adapted to its innovations (fuzzy)", _PAPER_2,
+        "", "estimators.models.attitude_error", _attitude_error("fuzzy"),
+    ),
+    Method(
+        "akf-standard", "Attitude error and gyro bias, noise as told: what fakf is compared with", _PAPER_2,
+        "", "estimators.models.attitude_error", _attitude_error("none"),
+    ),
+    Method(
+        "sekf", "Direction of gravity, no heading; the gyro alone while turning or accelerating", _PAPER_4,
+        "", "estimators.models.tilt", _tilt("switched"),
+    ),
+    Method(
+        "tilt-ekf", "Direction of gravity, no heading: what sekf is compared with", _PAPER_4,
+        "", "estimators.models.tilt", _tilt("none"),
+    ),
+    Method(
+        "ins9-ukf", "Inertial navigator, 9 states; dual antenna or course by number of satellites", _PAPER_1,
+        "estimators.filters.ukf:Ukf", "estimators.models.ins9", {**_INS9, **_UKF}, tuple(_UKF),
+    ),
+    Method(
+        "ins9-ekf", "The same, extended Kalman filter", _PAPER_1,
+        "estimators.filters.ekf:Ekf", "estimators.models.ins9", _INS9,
     ),
     Method(
         "ins21", "Inertial navigator, GNSS velocity and position, magnetic heading, 21 states", _OWN,

@@ -90,7 +90,7 @@ def _propagate(model: Any, x: np.ndarray, u: np.ndarray, dt: float, out: np.ndar
 
 @njit
 def rotation_slopes(rx: float, ry: float, rz: float, E: np.ndarray, J: np.ndarray) -> None:
-    """`E = exp(-[r x])` (3, 3) and the right Jacobian `J` (3, 3) of a rotation vector r: exp(r + d) = exp(r) exp(J d)."""
+    """`E = exp(-[r x])` (3, 3) and the right Jacobian `J` (3, 3) of rotation r: exp(r + d) = exp(r) exp(J d)."""
     a2 = rx * rx + ry * ry + rz * rz
     if a2 < 1e-4:
         sine, cosine, cubic = 1.0 - a2 / 6.0 + a2 * a2 / 120.0, 0.5 - a2 / 24.0, 1.0 / 6.0 - a2 / 120.0
@@ -133,8 +133,8 @@ def _observe(model: Any, group: int, x: np.ndarray, u: np.ndarray, y: np.ndarray
 
 
 def _slope(model: Any, group: int, x: np.ndarray, u: np.ndarray, H: np.ndarray) -> None:
-    y = np.empty(3)
-    _observe(model, group, x, u, y)
+    v, y = model.gravity_n if group == 0 else model.mag_n, np.empty(3)
+    to_body(x, v[0], v[1], v[2], y)
     H[0, 0] = H[1, 1] = H[2, 2] = 0.0
     H[0, 1], H[1, 0] = -2.0 * y[2], 2.0 * y[2]
     H[0, 2], H[2, 0] = 2.0 * y[1], -2.0 * y[1]

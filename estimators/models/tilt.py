@@ -11,8 +11,8 @@ not estimated. The gyro's bias e is what rotates s away between corrections: the
     e <- e + dt/bias_time * (s x ds/dt)                                      eq. (24)-(26)
 
 low-passed and fed back. The paper's form holds for small angles; the vector form is the same there and holds anywhere.
-Only the part across s shows; about level axes that is x and y, and z stays as it was. With the adaptation `switched` (the
-paper's) there are no corrections while the vehicle turns or accelerates, and e waits.
+Only the part across s shows; about level axes that is x and y, and z stays as it was. With the adaptation `switched`
+(the paper's) there are no corrections while the vehicle turns or accelerates, and e waits.
 """
 
 import math
