@@ -378,10 +378,12 @@ class Store:
             for name, figures in outcome.figures.items():
                 rows.append({**head, "estimator": name, "error": None, **figures})
         names = dict.fromkeys(name for row in rows for name in row)
+        kind = _arrow_types(plan, pa)
         columns = {}
         for name in names:
             values = [row.get(name) for row in rows]
-            columns[name] = pa.array(values, _arrow_type(name, values, pa))
+            text = kind(name) == pa.string()
+            columns[name] = pa.array([str(v) if text and v is not None else v for v in values], kind(name))
         sink = pa.BufferOutputStream()
         pq.write_table(pa.table(columns), sink)
         self.write(f"runs-{number:06d}.parquet", sink.getvalue().to_pybytes())
@@ -419,19 +421,14 @@ class Store:
         return set(self.table(["run"])["run"].to_pylist())
 
 
-def _arrow_type(name: str, values: Sequence[Any], pa: Any) -> Any:
-    """The type of a column: the same in every file, whatever happens to be in it."""
-    if name in ("run", "seed"):
-        return pa.int64()
-    if name in ("estimator", "error"):
-        return pa.string()
-    if name.startswith("bands."):
-        return pa.list_(pa.float32())
-    if name.startswith("vary."):
-        if any(isinstance(v, str) for v in values):
-            return pa.string()
-        return pa.bool_() if all(isinstance(v, bool) for v in values) else pa.float64()
-    return pa.float64()
+def _arrow_types(plan: Plan, pa: Any) -> Callable[[str], Any]:
+    """The type of a column by its name: the same in every file, whatever happens to be in it."""
+    known = {"run": pa.int64(), "seed": pa.int64(), "estimator": pa.string(), "error": pa.string()}
+    for variation in map(Variation.read, plan.vary):
+        kinds = {type(v) for v in variation.values}
+        kind = pa.string() if str in kinds else pa.bool_() if kinds == {bool} else pa.float64()
+        known[f"vary.{variation.key}"] = kind
+    return lambda name: known.get(name, pa.list_(pa.float32()) if name.startswith("bands.") else pa.float64())
 
 
 # ----------------------------------------------------------------------------------------------- flying

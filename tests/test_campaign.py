@@ -133,7 +133,15 @@ def test_the_manifest_gives_the_same_runs(short: Path, tmp_path: Path) -> None:
 
 
 def test_places_files_and_schema(tmp_path: Path, short: Path) -> None:
-    plan = Plan.make(scenario.load(str(short)), 6, ["wind.turbulence=choice:none,light"])
+    plan = Plan(
+        "short",
+        "short",
+        scenario.load(str(short)).data,
+        7,
+        6,
+        ("wind.turbulence=choice:none,light", "x=choice:1,a"),
+        1.0,
+    )
     figures = {"ekf": {"tilt_rmse_deg": 1.0, "straight.tilt_rmse_deg": float("nan"), "bands.tilt": [1.0, float("nan")]}}
     for place in (str(tmp_path / "local"), f"file://{tmp_path}/url", f"memory://{tmp_path.name}/x"):
         store = Store(place)
@@ -147,6 +155,7 @@ def test_places_files_and_schema(tmp_path: Path, short: Path) -> None:
         assert table["error"].to_pylist() == ["crash", None, None]
         assert table["turning.tilt_rmse_deg"].to_pylist() == [None, None, 3.0]
         assert set(table["vary.wind.turbulence"].to_pylist()) <= {"none", "light"}
+        assert set(table["vary.x"].to_pylist()) <= {"1", "a"}
         assert store.done() == {0, 1, 2}
         report = campaign_report.make(store)
         assert report["failed"] == 1
