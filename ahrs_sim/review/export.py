@@ -97,7 +97,7 @@ class LogFrames(Mapping[str, "pandas.DataFrame"]):
     """A log as pandas frames by topic, each read when it is asked for; index `t`, s of flight.
 
     Also `truth`, `estimates` and `errors` with angles in degrees for reading, `metadata`, `events`. Closes as a context
-    manager, or when forgotten.
+    manager or by `close`.
 
     Raises:
         InputError: not a log.
@@ -124,6 +124,10 @@ class LogFrames(Mapping[str, "pandas.DataFrame"]):
 
     def __len__(self) -> int:
         return len(self._log.topics)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._log.close()
 
     def __enter__(self) -> Self:
         return self

@@ -1,0 +1,176 @@
+"""The page of a report: what it holds comes back, fits its budget and asks nobody for anything."""
+
+import base64
+import dataclasses
+import json
+import re
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ahrs_sim import cli
+from ahrs_sim.errors import InputError
+from ahrs_sim.review import compare, report
+from ahrs_sim.review.traces import FlightTraces, finding, gather
+
+
+def parts(page: str) -> tuple[dict[str, Any], bytes]:
+    """Data and unpacked series of a page, as its program reads them."""
+    data = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    packed = re.search(r'<script type="text/plain" id="series">(.*?)</script>', page, re.DOTALL)
+    assert data and packed
+    return json.loads(data[1]), zlib.decompress(base64.b64decode(packed[1]))
+
+
+def series(ref: dict[str, Any], packed: bytes) -> np.ndarray:
+    """The values of a series, decoded step by step."""
+    n = ref["n"]
+    planes = np.frombuffer(packed, np.uint8, ref["planes"] * n, ref["at"]).reshape(-1, n).astype(np.int64)
+    zigzag = sum(plane << (8 * i) for i, plane in enumerate(planes))
+    coded = np.where(zigzag & 1, -((zigzag + 1) >> 1), zigzag >> 1)
+    for _ in range(ref["order"]):
+        coded = np.cumsum(coded)
+    values = coded * ref["step"]
+    for a, b in zip(ref["gaps"][::2], ref["gaps"][1::2], strict=True):
+        values[a:b] = np.nan
+    return np.asarray(values)
+
+
+@pytest.fixture(scope="module")
+def page(traces: FlightTraces) -> str:
+    return report.page([traces])
+
+
+def test_packing_keeps_values_and_gaps() -> None:
+    rng = np.random.default_rng(1)
+    smooth, noise = np.cumsum(np.cumsum(rng.normal(size=5000))) * 1e-3, rng.normal(size=700) * 50
+    noise[[0, 1, 300, 699]] = np.nan
+    packer = report._Packer()
+    refs = [packer.add(values, 0.0, 0.01, 0.01) for values in (smooth, noise)]
+    assert packer.add(np.full(5, np.nan), 0.0, 1.0, 1.0) is None
+    packed = zlib.decompress(base64.b64decode(packer.packed()))
+    for ref, values in zip(refs, (smooth, noise), strict=True):
+        assert ref is not None
+        assert series(ref, packed) == pytest.approx(values, abs=0.0051, nan_ok=True)
+
+
+def test_a_coarser_grid_keeps_peaks() -> None:
+    t = np.arange(0, 10, 0.01)
+    values = np.zeros(len(t))
+    values[[333, 667]] = 7.0, -9.0
+    grid = report._gridded(t, values, 0.0, 0.1, 100)
+    assert grid.max() == 7 and grid.min() == -9
+    assert np.isnan(report._gridded(t[t < 5], values[t < 5], 0.0, 0.1, 100)[60:]).all()
+
+
+def test_page_has_the_errors_of_the_log(page: str, traces: FlightTraces) -> None:
+    data, packed = parts(page)
+    (run,) = data["runs"]
+    assert [e["name"] for e in run["estimators"]] == ["ekf-chr", "ekf-sbg"]
+    for shown in run["estimators"]:
+        trace = traces.estimators[shown["name"]]
+        for k in range(3):
+            ref = shown["error"][k]
+            values = series(ref, packed)
+            at = np.rint((trace.t - ref["t0"]) / ref["dt"]).astype(int)
+            known = np.isfinite(trace.error[:, k]) & (at < len(values))
+            assert values[at[known]] == pytest.approx(np.degrees(trace.error[known, k]), abs=0.006)
+
+
+def test_page_agrees_with_compare(page: str, flown: Path) -> None:
+    data, _ = parts(page)
+    wanted = compare.compare(flown)["estimators"]
+    for shown in data["runs"][0]["estimators"]:
+        for key in ("tilt_rmse_deg", "heading_p95_deg", "roll_max_deg"):
+            assert shown["summary"][key] == pytest.approx(wanted[shown["name"]][key], rel=1e-4)
+        phases = wanted[shown["name"]]["phases"]
+        assert shown["summary"]["phases"].keys() == phases.keys()
+        for phase, values in shown["summary"]["phases"].items():
+            assert values["tilt_rmse_deg"] == pytest.approx(phases[phase]["tilt_rmse_deg"], rel=0.02)
+
+
+def test_page_is_complete_in_itself(page: str) -> None:
+    assert not re.search(r"@[A-Z_]+@", page)
+    assert not re.search(r"""(src|href)=["'](?!data:)""", page)
+    assert "The MIT License" in page
+    assert re.findall(r"https?://[^\s\"']+", page.split('id="series"')[0]) == []
+    data, _ = parts(page)
+    assert data["runs"][0]["provenance"]["flight"]["seed"] == "1"
+    assert "trainer" in data["runs"][0]["attachments"]["scenario.toml"]
+
+
+def test_ten_estimators_for_ten_minutes_fit(traces: FlightTraces) -> None:
+    rng = np.random.default_rng(3)
+    n = 60_000
+    t = np.arange(n) * 0.01
+    model = next(iter(traces.estimators.values()))
+    coarse = {
+        f.name: np.resize(getattr(model, f.name), (6000, *getattr(model, f.name).shape[1:]))
+        for f in dataclasses.fields(model)
+        if f.name not in ("name", "suite", "t", "error") and len(getattr(model, f.name)) > 500
+    } | {"coarse_t": np.arange(6000) * 0.1}
+    many = {}
+    for i in range(10):
+        error = np.cumsum(rng.normal(size=(n, 5)), axis=0) * 2e-4 + rng.normal(size=(n, 5)) * 2e-4
+        many[f"e{i}"] = dataclasses.replace(model, name=f"e{i}", t=t, error=error.astype(np.float32), **coarse)
+    rows = np.arange(n) % len(traces.t)
+    flight = dataclasses.replace(
+        traces, t=t, q_nb=traces.q_nb[rows], truth_t=t, position=traces.position[rows], speed=traces.speed[rows],
+        phase=traces.phase[rows], estimators=many,
+    )  # fmt: skip
+    assert len(report.page([flight]).encode()) < 3_000_000
+
+
+def test_flights_of_a_campaign_become_bands(traces: FlightTraces) -> None:
+    flights = []
+    for k in range(5):
+        shifted = {n: dataclasses.replace(e, error=np.full_like(e.error, np.radians(k + 1)))}
+        flights.append(dataclasses.replace(traces, estimators=shifted))
+    data, packed = parts(report.page(flights))
+    (run,) = data["runs"]
+    assert run["kind"] == "campaign" and len(run["flights"]) == 5
+    shown = run["estimators"][0]
+    low, middle, high = (series(shown[key][0], packed) for key in ("low", "error", "high"))
+    known = np.isfinite(low)
+    assert (high - low)[known] == pytest.approx(4, abs=0.05)
+    assert (middle - low)[known] == pytest.approx(2, abs=0.05)
+    assert len(parts(report.page(flights[:3]))[0]["runs"]) == 3
+
+
+def test_worst_window_and_finding(traces: FlightTraces) -> None:
+    trace = traces.estimators["ekf-sbg"]
+    error = np.full_like(trace.error, 1e-4)
+    error[(trace.t > 70) & (trace.t < 80)] = 0.2
+    wrong = dataclasses.replace(trace, error=error)
+    worst = wrong.worst(traces)
+    assert worst is not None
+    assert worst.start == pytest.approx(70, abs=0.2)
+    assert wrong.lost() == pytest.approx(70, abs=0.3)
+    assert "11 deg wrong" in finding(traces, wrong)
+    assert "first beyond 5 deg" in finding(traces, wrong)
+
+
+def test_span_and_reference(flown: Path) -> None:
+    part = gather(flown, reference="ekf-sbg", start=40.0, end=60.0)
+    assert part.t[0] >= 40 and part.t[-1] <= 60
+    assert np.nanmax(np.abs(part.estimators["ekf-sbg"].error)) < 1e-6
+    with pytest.raises(InputError, match="--reference"):
+        gather(flown, reference="nobody")
+    with pytest.raises(InputError, match="--from/--to"):
+        gather(flown, start=500.0)
+
+
+def test_command_writes_page_and_figures(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib")
+    output = tmp_path / "out.html"
+    assert cli.main(["compare", str(flown), "--report", str(output), "--png", str(tmp_path / "png")]) == 0
+    assert output.stat().st_size > 100_000
+    names = {p.name for p in (tmp_path / "png").iterdir()}
+    assert names == {f"short-{n}.png" for n in ("attitude", "errors", "worst", "track", "biases")}
+    assert cli.main(["compare", str(flown), "--report", str(tmp_path / "no" / "out.html")]) == 2
+    assert "cannot be written" in capsys.readouterr().err
