@@ -127,7 +127,8 @@ def test_ten_estimators_for_ten_minutes_fit(traces: FlightTraces) -> None:
 def test_flights_of_a_campaign_become_bands(traces: FlightTraces) -> None:
     flights = []
     for k in range(5):
-        shifted = {n: dataclasses.replace(e, error=np.full_like(e.error, np.radians(k + 1)))}
+        error = np.radians(k + 1)
+        shifted = {n: dataclasses.replace(e, error=np.full_like(e.error, error)) for n, e in traces.estimators.items()}
         flights.append(dataclasses.replace(traces, estimators=shifted))
     data, packed = parts(report.page(flights))
     (run,) = data["runs"]
