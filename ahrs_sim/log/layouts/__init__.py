@@ -1,8 +1,9 @@
 """Layouts of viewers that open our logs without editing.
 
 `ahrs_sim.json` fits the shipped circuit; `ahrs-sim export LOG --to layout` makes one with the names of any log of ours.
-Foxglove and Lichtblick take both (Layouts, Import from file). They have no Euler angles of their own: scripts inside
-the layout make roll, pitch and heading of the truth and of every estimator, and the errors, all in deg.
+Foxglove and Lichtblick take both (Layouts, Import from file). Their plots know fields of messages and nothing derived
+from them, so attitudes are shown as quaternions, and errors are left to the report: a script inside a layout could
+make them, but is called for every message of a flight before anything is drawn, which takes minutes.
 """
 
 import json
@@ -16,76 +17,7 @@ from ahrs_sim.log.record import FlightReader
 
 Node = str | dict[str, Any]
 
-_AXES = ("roll", "pitch", "heading")
-
 _COLORS = ("#2563eb", "#dc2626", "#059669", "#d97706", "#7c3aed", "#0891b2", "#be185d", "#4d7c0f", "#92400e", "#475569")
-
-_EULER = """
-function euler(q: { x: number; y: number; z: number; w: number }): [number, number, number] {
-  const deg = 180 / Math.PI;
-  return [
-    deg * Math.atan2(2 * (q.w * q.x + q.y * q.z), 1 - 2 * (q.x * q.x + q.y * q.y)),
-    deg * Math.asin(Math.max(-1, Math.min(1, 2 * (q.w * q.y - q.x * q.z)))),
-    deg * Math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z)),
-  ];
-}
-"""
-
-_TRUTH_SCRIPT = """import { Input } from "./types";
-
-export const inputs = ["/truth/odometry"];
-export const output = "/studio_script/truth";
-
-type Output = { roll: number; pitch: number; heading: number };
-
-export default function script(event: Input<"/truth/odometry">): Output {
-  const [roll, pitch, heading] = euler(event.message.pose.pose.orientation);
-  return { roll, pitch, heading: (heading + 360) % 360 };
-}
-"""
-
-_ESTIMATE_SCRIPT = """import { Input } from "./types";
-
-export const inputs = ["/truth/imu", "/est/@NAME@/imu"];
-export const output = "/studio_script/@NAME@";
-
-type Angles = { roll: number; pitch: number; heading: number };
-type Output = Angles & { roll_error: number; pitch_error: number; heading_error: number };
-type Attitude = { t: number; angles: [number, number, number] };
-
-// An estimate waits for the next truth, so that its error is taken at its own time and not up to a sample late.
-let before: Attitude | undefined;
-let waiting: Attitude | undefined;
-const wrap = (x: number): number => ((((x + 180) % 360) + 360) % 360) - 180;
-
-export default function script(event: Input<"/truth/imu"> | Input<"/est/@NAME@/imu">): Output | undefined {
-  const stamp = event.message.header.stamp;
-  const now: Attitude = { t: stamp.sec + 1e-9 * stamp.nsec, angles: euler(event.message.orientation) };
-  if (event.topic === "/est/@NAME@/imu") {
-    waiting = now;
-    return undefined;
-  }
-  const [left, estimate] = [before, waiting];
-  before = now;
-  if (!left || !estimate || estimate.t < left.t || estimate.t > now.t) {
-    return undefined;
-  }
-  waiting = undefined;
-  const part = now.t > left.t ? (estimate.t - left.t) / (now.t - left.t) : 0;
-  const error = estimate.angles.map((angle, k) => {
-    const from = left.angles[k] ?? 0;
-    return wrap(angle - from - part * wrap((now.angles[k] ?? 0) - from));
-  });
-  return {
-    roll: estimate.angles[0],
-    pitch: estimate.angles[1],
-    heading: (estimate.angles[2] + 360) % 360,
-    roll_error: error[0] ?? 0,
-    pitch_error: error[1] ?? 0,
-    heading_error: error[2] ?? 0,
-  };
-}
-"""
 
 
 def describe() -> list[dict[str, Any]]:
@@ -147,20 +79,25 @@ def build(suites: Mapping[str, Sequence[str]], estimators: Sequence[str]) -> dic
 
     attitude = [
         plot(
-            axis,
-            f"{axis}, deg",
+            f"q_{part}",
+            f"attitude, quaternion {part}",
             [
-                *((f"/studio_script/{name}.{axis}", name) for name in estimators),
-                (f"/studio_script/truth.{axis}", "truth"),
+                *((f"/est/{n}/imu.orientation.{part}", n) for n in estimators),
+                (f"/truth/imu.orientation.{part}", "truth"),
             ],
             [*_COLORS[: len(estimators)], "#888888"],
         )
-        for axis in _AXES
+        for part in "wxyz"
     ]
-    errors = [
-        plot(f"{a}_error", f"{a} error, deg", [(f"/studio_script/{n}.{a}_error", n) for n in estimators]) for a in _AXES
+    sigmas = [
+        plot(
+            f"variance_{axis}",
+            f"claimed attitude variance {axis}, rad²",
+            [(f"/est/{n}/state.attitude_covariance[{4 * k}]", n) for n in estimators],
+        )
+        for k, axis in enumerate("xyz")
     ]
-    tabs = [{"title": "Attitude", "layout": _stack(attitude)}, {"title": "Errors", "layout": _stack(errors)}]
+    tabs = [{"title": "Attitude", "layout": _stack(attitude)}, {"title": "Variance", "layout": _stack(sigmas)}]
     for suite, instruments in suites.items():
         sensors = {
             "imu": [
@@ -196,14 +133,10 @@ def build(suites: Mapping[str, Sequence[str]], estimators: Sequence[str]) -> dic
     panels["Tab!main"] = {"activeTabIdx": 0, "tabs": tabs}
     panels["RawMessages!events"] = {"foxglovePanelTitle": "Events", "topicPath": "/events", "diffEnabled": False}
     panels["3D!aircraft"] = _scene()
-    scripts = {"truth": _TRUTH_SCRIPT, **{name: _ESTIMATE_SCRIPT.replace("@NAME@", name) for name in estimators}}
     return {
         "configById": panels,
         "globalVariables": {},
-        "userNodes": {
-            f"ahrs-sim-{name}": {"name": f"attitude of {name}", "sourceCode": text + _EULER}
-            for name, text in scripts.items()
-        },
+        "userNodes": {},
         "playbackConfig": {"speed": 1},
         "layout": {
             "direction": "row",
