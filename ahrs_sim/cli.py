@@ -102,11 +102,11 @@ def _parser() -> argparse.ArgumentParser:
     info.add_argument("--json", action="store_true")
     info.set_defaults(run=_info)
 
-    tables = commands.add_parser("export", help="the topics of a log as tables")
+    tables = commands.add_parser("export", help="the topics of a log as tables, or a layout of a viewer for it")
     tables.add_argument("log", type=Path)
-    tables.add_argument("--to", dest="form", choices=["parquet", "csv"], required=True)
+    tables.add_argument("--to", dest="form", choices=["parquet", "csv", "layout"], required=True)
     tables.add_argument("--topic", action="append", default=[], help="only this one; may be repeated")
-    tables.add_argument("-o", "--output", type=Path, metavar="DIR", help="default: the log's name without .mcap")
+    tables.add_argument("-o", "--output", type=Path, metavar="DIR", help="default: beside the log")
     tables.set_defaults(run=_export)
 
     recover = commands.add_parser("recover", help="make a log of what an interrupted flight has left")
@@ -325,6 +325,11 @@ def _draw(arguments: argparse.Namespace, span: dict[str, Any]) -> None:
 def _export(arguments: argparse.Namespace) -> None:
     from ahrs_sim.review.export import export
 
+    if arguments.form == "layout":
+        from ahrs_sim.log import layouts
+
+        print(layouts.of_log(arguments.log, arguments.output or arguments.log.with_suffix(".layout.json")))
+        return
     folder = arguments.output or arguments.log.with_suffix("")
     print(*export(arguments.log, arguments.form, folder, arguments.topic), sep="\n")
 
