@@ -172,7 +172,7 @@ def parse(
     table = Table(data, where)
     table.text("title", "")
     motion = table.table("motion") if table.has("motion") else None
-    script = table.text("script", None)
+    script = table.text("script", "") or None
     steps = tuple(table.list_of_tables("step"))
     if motion is not None and (script or steps):
         raise table.error("motion", "a motion takes neither script nor [[step]]; keep one of them")
@@ -207,9 +207,9 @@ def parse(
 def _merged(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     """The file's data laid over those of the scenario it extends: tables are merged, everything else replaced."""
     table = read_toml(path)
-    parent = table.text("extends", None)
+    parent = table.text("extends", "")
     data = {k: v for k, v in table.data.items() if k != "extends"}
-    if parent is None:
+    if not parent:
         return data
     beside = path.parent / f"{parent}.toml"
     base = beside if beside.is_file() else find(parent)

@@ -16,6 +16,7 @@ import struct
 import threading
 import zlib
 from collections.abc import Callable, Collection, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -261,8 +262,8 @@ class LogReader:
 
         def action() -> dict[str, np.ndarray]:
             rows = {number: _Rows() for number in _numbers(plans)}
-            for piece in self._chosen(plans, start, end):
-                self._gather(piece, rows, start, end)
+            for messages in self._loaded(self._chosen(plans, start, end), set(rows)):
+                self._gather(messages, rows, start, end)
             return {topic: _in_order(self._decoded(numbers, rows)) for topic, numbers in plans.items()}
 
         return self._guard(action)
@@ -293,9 +294,10 @@ class LogReader:
         pieces = self._chosen(plans, start, end)
         held = {topic: np.empty(0, self._dtype(numbers)) for topic, numbers in plans.items()}
         rows = {number: _Rows() for number in _numbers(plans)}
-        for i, piece in enumerate(pieces):
+        loaded = self._loaded(pieces, set(rows))
+        for i in range(len(pieces)):
             last = i == len(pieces) - 1
-            self._guard(functools.partial(self._gather, piece, rows, start, end))
+            self._guard(functools.partial(self._gather, self._guard(loaded.__next__), rows, start, end))
             if not last and sum(r.size for r in rows.values()) < _PORTION:
                 continue
             ready = {}
@@ -331,9 +333,10 @@ class LogReader:
             (p for p in self._contents.pieces if p.index is None or set(numbers) & p.index.keys()),
             key=lambda p: p.start,
         )
+        loaded = self._loaded(pieces, set(numbers))
         for i, piece in enumerate(pieces):
             rows = {number: _Rows() for number in numbers}
-            self._guard(functools.partial(self._gather, piece, rows, None, None))
+            self._guard(functools.partial(self._gather, self._guard(loaded.__next__), rows, None, None))
             found = {n: [batch for batch, _ in r.batches()] for n, r in rows.items() if r.count}
             yield (pieces[i + 1].start if i + 1 < len(pieces) else piece.end), found
 
@@ -400,9 +403,19 @@ class LogReader:
         ]
         return sorted(chosen, key=lambda p: p.start)
 
-    def _gather(self, piece: Piece, rows: "dict[int, _Rows]", start: int | None, end: int | None) -> None:
+    def _loaded(self, pieces: Sequence[Piece], wanted: set[int]) -> Iterator[Messages]:
+        """Pieces uncompressed, the next one by another thread meanwhile: zstd and CRC do without Python's lock."""
+        with ThreadPoolExecutor(1) as worker:
+            ahead = [worker.submit(self._load, piece, wanted) for piece in pieces[:1]]
+            for following in [*pieces[1:], None]:
+                messages = ahead.pop().result()
+                if following is not None:
+                    ahead.append(worker.submit(self._load, following, wanted))
+                yield messages
+
+    def _gather(self, messages: Messages, rows: "dict[int, _Rows]", start: int | None, end: int | None) -> None:
         """Add the messages of a piece to the rows of their channels."""
-        data, offsets = self._load(piece, set(rows))
+        data, offsets = messages
         present = [number for number, places in offsets.items() if len(places)]
         if not present:
             return

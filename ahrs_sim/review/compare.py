@@ -208,16 +208,21 @@ def _truth(log: FlightReader) -> _Truth:
     needed = [TRUTH_TOPIC, STATE_TOPIC, AIR_TOPIC]
     if missing := [topic for topic in needed if topic not in log.topics]:
         raise InputError(f"{log.path}: no {missing[0]} in it: there is nothing to compare with")
-    blocks = list(log.blocks(needed))
-    t = np.concatenate([_seconds(log, b[TRUTH_TOPIC]) for b in blocks])
-    q_nb = np.concatenate([quaternion(b[TRUTH_TOPIC]["pose"]["pose"]["orientation"]) for b in blocks])
-    vel_n = np.concatenate([vector(b[STATE_TOPIC]["velocity"]) for b in blocks])
-    on_ground = np.concatenate([b[AIR_TOPIC]["on_ground"] for b in blocks])
-    rows = min(map(len, (t, q_nb, vel_n, on_ground)))  # a recovered log may end between two topics
+    parts = [
+        (
+            _seconds(log, block[TRUTH_TOPIC]),
+            quaternion(block[TRUTH_TOPIC]["pose"]["pose"]["orientation"]),
+            np.linalg.norm(vector(block[STATE_TOPIC]["velocity"]), axis=1),
+            block[AIR_TOPIC]["on_ground"].copy(),  # a view would keep the whole block
+        )
+        for block in log.blocks(needed)
+    ]
+    t, q_nb, speed, on_ground = (np.concatenate(column) for column in zip(*parts, strict=True))
+    rows = min(map(len, (t, q_nb, speed, on_ground)))  # a recovered log may end between two topics
     if rows < 2:
         raise InputError(f"{log.path}: {TRUTH_TOPIC} is empty: there is nothing to compare with")
     t, q_nb = t[:rows], q_nb[:rows]
-    return _Truth(t, q_nb, phases(t, q_nb, np.linalg.norm(vel_n[:rows], axis=1), on_ground[:rows]))
+    return _Truth(t, q_nb, phases(t, q_nb, speed[:rows], on_ground[:rows]))
 
 
 def phases(t: np.ndarray, q_nb: np.ndarray, speed: np.ndarray, on_ground: np.ndarray) -> np.ndarray:

@@ -19,7 +19,8 @@ def euler(q_nb: np.ndarray) -> np.ndarray:
 
 def wrap(angle: np.ndarray) -> np.ndarray:
     """The angle (rad) in (-pi, pi]."""
-    return np.pi - np.mod(np.pi - angle, 2 * np.pi)
+    wrapped: np.ndarray = np.pi - np.mod(np.pi - angle, 2 * np.pi)
+    return wrapped
 
 
 def down(q_nb: np.ndarray) -> np.ndarray:
@@ -70,7 +71,8 @@ def attitude_errors(q_nb: np.ndarray, down_b: np.ndarray, reference: np.ndarray)
 def _vector_part(q: np.ndarray, r: np.ndarray) -> np.ndarray:
     """Norm of the vector part of conj(q) (x) r, (n,)."""
     v = q[:, :1] * r[:, 1:] - r[:, :1] * q[:, 1:] - np.cross(q[:, 1:], r[:, 1:])
-    return np.linalg.norm(v, axis=1)
+    norm: np.ndarray = np.linalg.norm(v, axis=1)
+    return norm
 
 
 def statistics(errors: np.ndarray) -> dict[str, float]:
