@@ -39,7 +39,7 @@ def interpolate(t: np.ndarray, q_nb: np.ndarray, at: np.ndarray) -> np.ndarray:
     span = t[right] - t[left]
     weight = np.where(span > 0, (at - t[left]) / np.where(span > 0, span, 1.0), 0.0)[:, None]
     sign = np.where(np.sum(q_nb[left] * q_nb[right], axis=1) < 0, -1.0, 1.0)[:, None]
-    q = (1 - weight) * q_nb[left] + weight * sign * q_nb[right]
+    q: np.ndarray = (1 - weight) * q_nb[left] + weight * sign * q_nb[right]
     q /= np.linalg.norm(q, axis=1, keepdims=True)
     q[(at < t[0] - 1e-9) | (at > t[-1] + 1e-9)] = np.nan
     return q
