@@ -22,7 +22,7 @@ try {
 
     // Every plot gets drawn when it comes into sight, and is not blank.
     const boxes = await page.$$(".plot");
-    if (boxes.length < 8) fail(`only ${boxes.length} plots`);
+    if (boxes.length < 7) fail(`only ${boxes.length} plots`);
     const colours = (handle) => handle.evaluate((c) => {
       const { data } = c.getContext("2d").getImageData(0, 0, c.width, c.height);
       const seen = new Set();

@@ -66,11 +66,11 @@ def build(suites: Mapping[str, Sequence[str]], estimators: Sequence[str]) -> dic
             "xAxisVal": "timestamp",
             "isSynced": True,
             "showLegend": True,
-            "legendDisplay": "floating",
+            "legendDisplay": "left",
             "showPlotValuesInLegend": False,
             "showXAxisLabels": True,
             "showYAxisLabels": True,
-            "sidebarDimension": 240,
+            "sidebarDimension": 100,
         }
         return f"Plot!{key}"
 
@@ -179,7 +179,8 @@ def _scene() -> dict[str, Any]:
             "far": 5000,
         },
         "scene": {"transforms": {"axisScale": 3, "labelSize": 0.3}},
-        "transforms": {},
+        # Only the axes that point forward, left, up: those of FRD lie in the same place.
+        "transforms": {"frame:base_link_frd": {"visible": False}, "frame:map_ned": {"visible": False}},
         "topics": {},
         "layers": {
             "grid": {
