@@ -8,6 +8,8 @@ import numpy as np
 
 from ahrs_sim.bags import frames
 from ahrs_sim.log.writer import LogWriter
+from estimators.rotations import triad
+from estimators.types import Estimates, Samples, SensorInfo, Site, blank
 
 EPOCH = 1_780_308_000_000_000_000  # 2026-06-01 10:00 UTC
 G = 9.80665
@@ -44,6 +46,23 @@ def motion(duration: float = 60.0, rate: float = 100.0, still: float = 25.0) -> 
     back = q_nb * [1, -1, -1, -1]
     down = np.tile([0.0, 0.0, -G], (len(t), 1))
     return Motion(t, q_nb, gyro_b, frames.rotate(back, down), frames.rotate(back, np.tile(MAG_N, (len(t), 1))))
+
+
+class Triad:
+    """Attitude from gravity and field alone, exact where nothing accelerates; rows with a fresh field only."""
+
+    def __init__(self, *, site: Site, sensors: SensorInfo) -> None:
+        self.mag_n = np.array(site.mag_n)
+
+    def process(self, samples: Samples) -> Estimates:
+        columns = blank(Estimates, len(samples))
+        columns["t"] = samples.t
+        q = np.empty(4)
+        for i in np.flatnonzero(samples.mag_new):
+            if triad(-samples.accel_b[i], samples.mag_b[i], self.mag_n, q):
+                columns["q_nb"][i] = q
+                columns["down_b"][i] = -samples.accel_b[i] / np.linalg.norm(samples.accel_b[i])
+        return Estimates(**columns)
 
 
 def ns(t: np.ndarray) -> np.ndarray:

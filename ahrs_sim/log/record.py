@@ -677,13 +677,13 @@ class FlightReader(LogReader):
         span = self._span(start, end)
         array = self.read(f"/{suite}{route.topic}", *span)
         columns = self._columns(kind, route, array)
-        if instrument in STATUS:
+        if instrument in STATUS and f"/{suite}{STATUS[instrument].topic}" in self.topics:  # a bag's suite has none
             # The last status with a stamp not after the message's.
             status = self.read(f"/{suite}{STATUS[instrument].topic}", None, span[1])
             rows = np.searchsorted(stamps(status), stamps(array), "right") - 1
             if len(status):
                 STATUS[instrument].put(columns, status[np.maximum(rows, 0)])
-        if kind is ImuRecord:
+        if kind is ImuRecord and f"/{suite}{TEMPERATURE.topic}" in self.topics:
             array = self.read(f"/{suite}{TEMPERATURE.topic}", *span)
             if len(array):
                 kelvin = array["temperature"] + 273.15
