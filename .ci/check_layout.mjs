@@ -54,21 +54,25 @@ try {
     const query = new URLSearchParams({ tab: k, layoutId: "1", ds: "remote-file", "ds.url": `${address}log.mcap` });
     await tab.goto(`${address}?${query}`);
     await tab.waitForFunction(() => document.querySelectorAll("canvas").length > 3, null, { timeout: 60_000 });
-    await tab.waitForTimeout(Number(process.env.WAIT ?? 15_000));
-    await tab.screenshot({ path: `${folder}/layout-${k + 1}.png` });
-    // Curves are coloured, axes and grids are not.
-    const drawn = await tab.$$eval("canvas", (all) => all.map((c) => {
-      const copy = document.createElement("canvas");
-      [copy.width, copy.height] = [c.width, c.height];
-      const ctx = copy.getContext("2d");
-      if (!c.width || !c.height) return -1;
+    // Curves are coloured, axes and grids are not; of the 3-D view, which a script cannot read, there is the screenshot.
+    const coloured = () => tab.$$eval("canvas", (all) => all.map((c) => {
+      if (!c.width || !c.height) return 0;
+      const copy = Object.assign(document.createElement("canvas"), { width: c.width, height: c.height }), ctx = copy.getContext("2d");
       ctx.drawImage(c, 0, 0);
       const { data } = ctx.getImageData(0, 0, c.width, c.height);
-      let coloured = 0;
-      for (let i = 0; i < data.length; i += 4) if (Math.max(data[i], data[i + 1], data[i + 2]) - Math.min(data[i], data[i + 1], data[i + 2]) > 60) coloured++;
-      return coloured;
+      let count = 0;
+      for (let i = 0; i < data.length; i += 4) if (Math.max(data[i], data[i + 1], data[i + 2]) - Math.min(data[i], data[i + 1], data[i + 2]) > 60) count++;
+      return count;
     }));
+    const until = Date.now() + 120_000;
+    let drawn = await coloured();
+    while (drawn.filter((n) => n > 100).length < drawn.length - 1 && Date.now() < until) {
+      await tab.waitForTimeout(2000);
+      drawn = await coloured();
+    }
+    await tab.screenshot({ path: `${folder}/layout-${k + 1}.png` });
     console.log(`${name}: ${drawn.length} canvases, coloured pixels ${drawn.join(" ")}`);
+    if (drawn.filter((n) => n > 100).length < drawn.length - 1) throw new Error(`${name}: a plot stays blank`);
     if (trouble.length) throw new Error(trouble.join("\n"));
   }
 } finally {
