@@ -14,6 +14,7 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba.extending import register_jitable
 
 
 def _cache_root() -> Path:
@@ -54,3 +55,9 @@ def compiler(*packages: Path) -> Callable[..., Any]:
 
 
 njit = compiler(Path(__file__).parent)
+
+
+def inner(function: Callable[..., Any]) -> Callable[..., Any]:
+    """For parts of kernels that take tuples: compiled into their callers, plain Python when called from there."""
+    chosen: Callable[..., Any] = register_jitable(error_model="numpy", forceinline=True)(function)
+    return chosen

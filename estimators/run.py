@@ -11,7 +11,7 @@ import numpy as np
 
 from estimators.adaptation.base import admit, weigh
 from estimators.filters.base import Work, predict, project
-from estimators.jit import njit
+from estimators.jit import inner, njit
 from estimators.linalg import condition, healthy
 from estimators.models.base import (
     ROWS,
@@ -61,7 +61,7 @@ def first_bad_stamp(rows: np.ndarray, last: float) -> int:
     return -1
 
 
-@njit(forceinline=True, no_cpython_wrapper=True)
+@inner
 def update(
     method: Any,
     policy: Any,

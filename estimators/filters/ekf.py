@@ -6,7 +6,7 @@ import numpy as np
 
 from estimators.filters.base import Work
 from estimators.generic import register
-from estimators.jit import njit
+from estimators.jit import inner
 from estimators.models.base import (
     FROM,
     READ,
@@ -55,7 +55,7 @@ def _predict(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarra
     return True
 
 
-@njit(forceinline=True, no_cpython_wrapper=True)
+@inner
 def project_linear(
     method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work
 ) -> bool:

@@ -21,7 +21,7 @@ import numpy as np
 from estimators.filters.base import Work
 from estimators.filters.ekf import project_linear
 from estimators.generic import generic
-from estimators.jit import njit
+from estimators.jit import inner, njit
 from estimators.linalg import leading_cholesky
 from estimators.models.base import (
     LINEAR,
@@ -123,7 +123,7 @@ def project_points(
     return ok
 
 
-@njit(forceinline=True, no_cpython_wrapper=True)
+@inner
 def _project_nonlinear(
     method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work
 ) -> bool:

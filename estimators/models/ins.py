@@ -1,7 +1,7 @@
 """M6: one aided inertial navigator; only its velocity aid changes.
 
 Raw state: `q_nb` (4), velocity NED (3, m/s), latitude, longitude (rad), height (m), gyro bias (3, rad/s), accelerometer
-bias (3, m/s2), gyro scale (3), hard iron (3, T), wind NED (3, m/s). Error state in that order, with the attitude error phi
+bias (3, m/s2), gyro scale (3), hard iron (3, T), wind NED (3, m/s). Error state in that order, the attitude error phi
 in navigation axes, `q = exp_q(phi) (x) q_estimated`, and the position error in metres NED. Three sizes: `Ins15`
 (to the accelerometer bias), `Ins21` (to the hard iron), `Ins24` (with the wind).
 
@@ -30,7 +30,7 @@ import numpy as np
 
 from estimators.alignment import ACCEL_SCATTER, GYRO_SCATTER, MEAN_RATE, Alignment, Start
 from estimators.generic import register
-from estimators.jit import njit
+from estimators.jit import inner, njit
 from estimators.models.base import (
     MAX_FIELD,
     MAX_FORCE,
@@ -81,12 +81,27 @@ GRAVITY_GRADIENT = 3.086e-6  # 1/s2, of gravity with height
 GNSS, STILL, MAGNETIC, DUAL, AIR = range(5)
 _Z_GNSS, _Z_MAG, _Z_DUAL, _Z_AIR, _Z_STILL, MEASUREMENTS_ = 0, 6, 7, 8, 11, 17
 
-# inputs: mean rate and force of the step, field, noise of the gyro now (variance per second), variance of each measurement
+# inputs: mean rate and force of the step, field, gyro noise (variance per second), variance of each measurement
 _W, _F, _B, _PSD, _VAR = 0, 3, 6, 9, 10
 INPUTS = _VAR + MEASUREMENTS_
 
 # memory: scalars, then the moments of the present second, then a ring of past states
-_LAST, _GOOD, _MAG_T, _AID_T, _GNSS_T, _AIR_T, _PSEUDO_T, _STILL_T, _IS_STILL, _SECOND, _COUNT, _INFLATION, _HEAD, _SPEED = range(14)
+(
+    _LAST,
+    _GOOD,
+    _MAG_T,
+    _AID_T,
+    _GNSS_T,
+    _AIR_T,
+    _PSEUDO_T,
+    _STILL_T,
+    _IS_STILL,
+    _SECOND,
+    _COUNT,
+    _INFLATION,
+    _HEAD,
+    _SPEED,
+) = range(14)
 _LAST_W, _LAST_F, _MEAN, _SPREAD = 14, 17, 20, 26
 _RING, _SLOTS, _WIDTH = 32, 256, 8  # t, velocity and place of the antenna, yaw
 MEMORY = _RING + _SLOTS * _WIDTH
@@ -167,7 +182,7 @@ def _apart(a0: float, a1: float, a2: float, b0: float, b1: float, b2: float, out
 
 @njit
 def _turn_n(q: np.ndarray, rx: float, ry: float, rz: float, out: np.ndarray) -> None:
-    """`out = exp_q(r) (x) q`: a rotation about navigation axes. (The conjugate of `turn` on conjugates.)"""
+    """`out = exp_q(r) (x) q`: a rotation about navigation axes; `turn` on conjugates."""
     a, b, c, d = q[0], -q[1], -q[2], -q[3]
     conjugate = np.empty(4)
     conjugate[0], conjugate[1], conjugate[2], conjugate[3] = a, b, c, d
@@ -260,7 +275,7 @@ def _constrain(model: Any, x: np.ndarray) -> None:
     normalise(x)
 
 
-@njit(forceinline=True, no_cpython_wrapper=True)
+@inner
 def _field_n(model: Any, x: np.ndarray, u: np.ndarray, out: np.ndarray) -> None:
     """Field as the magnetometer and the attitude have it, hard iron removed, in NED."""
     bx, by, bz = u[_B], u[_B + 1], u[_B + 2]
@@ -269,7 +284,7 @@ def _field_n(model: Any, x: np.ndarray, u: np.ndarray, out: np.ndarray) -> None:
     to_nav(x, bx, by, bz, out)
 
 
-@njit(forceinline=True, no_cpython_wrapper=True)
+@inner
 def _air_velocity(model: Any, x: np.ndarray, out: np.ndarray) -> None:
     """Velocity in the air mass, body axes."""
     north, east, down = x[4], x[5], x[6]
@@ -350,7 +365,7 @@ def _measurement_noise(model: Any, group: int, x: np.ndarray, u: np.ndarray, S: 
 def _residual(model: Any, group: int, z: np.ndarray, y: np.ndarray, out: np.ndarray) -> None:
     for i in range(model.groups[group, ROWS]):
         out[i] = z[i] - y[i]
-    if group == MAGNETIC or group == DUAL:
+    if group in (MAGNETIC, DUAL):
         out[0] = wrap(out[0])
 
 
@@ -378,7 +393,7 @@ def _load(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.
         _judge_second(model, row, x, memory)
 
 
-@njit(forceinline=True, no_cpython_wrapper=True)
+@inner
 def _judge_second(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray) -> None:
     """Standstill detector: scatter and mean rate of each second."""
     t = row[T]
@@ -404,7 +419,7 @@ def _judge_second(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray
             memory[_IS_STILL] = 0.0
 
 
-@njit(forceinline=True, no_cpython_wrapper=True)
+@inner
 def _keep(model: Any, t: float, x: np.ndarray, memory: np.ndarray, u: np.ndarray) -> int:
     """Put antenna velocity and place and yaw into the ring of past states; returns where it begins in `memory`."""
     slot = int(memory[_HEAD]) % _SLOTS
@@ -468,12 +483,12 @@ def _measure(
             z[i] = z[3 + i] = 0.0
             u[_VAR + i] = u[_VAR + 3 + i] = 1.0
             used[i] = used[3 + i] = True
-    if row[HEADING_NEW] != 0.0 and plausible(row[HEADING], 100.0):
-        if _recall(memory, newest, row[HEADING_T], then):
-            z[_Z_DUAL] = row[HEADING] + (memory[newest + 7] - then[6])
-            sigma = model.heading_factor * row[HEADING_SIGMA]
-            u[_VAR + _Z_DUAL] = sigma * sigma
-            used[_Z_DUAL] = sigma > 0.0
+    told = row[HEADING_NEW] != 0.0 and plausible(row[HEADING], 100.0)
+    if told and _recall(memory, newest, row[HEADING_T], then):
+        z[_Z_DUAL] = row[HEADING] + (memory[newest + 7] - then[6])
+        sigma = model.heading_factor * row[HEADING_SIGMA]
+        u[_VAR + _Z_DUAL] = sigma * sigma
+        used[_Z_DUAL] = sigma > 0.0
     if row[MAG_NEW] != 0.0:
         _measure_field(model, row, x, memory, u, z, used)
     flying = False
@@ -494,7 +509,7 @@ def _measure(
     return _RUNNING if aided and memory[_GOOD] == 1.0 else _COASTING
 
 
-@njit(forceinline=True, no_cpython_wrapper=True)
+@inner
 def _measure_gnss(
     model: Any,
     row: np.ndarray,
@@ -527,7 +542,7 @@ def _measure_gnss(
         memory[_AID_T] = memory[_GNSS_T] = row[T]
 
 
-@njit(forceinline=True, no_cpython_wrapper=True)
+@inner
 def _measure_field(
     model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray
 ) -> None:
@@ -544,7 +559,8 @@ def _measure_field(
         return
     off = (norm / norm_n - 1.0) / model.norm_scale
     dip = (math.atan2(m[2], horizontal) - math.atan2(n[2], known)) / model.dip_scale
-    memory[_INFLATION] = 1.0 + off * off + dip * dip
+    wrong = off * off + dip * dip
+    memory[_INFLATION] = 1.0 + wrong + 0.1 * wrong * wrong
     sigma = model.mag_sigma * norm_n / known
     z[_Z_MAG] = math.atan2(n[1], n[0])
     u[_VAR + _Z_MAG] = sigma * sigma * memory[_INFLATION]
@@ -552,7 +568,7 @@ def _measure_field(
     memory[_MAG_T] = row[T]
 
 
-@njit(forceinline=True, no_cpython_wrapper=True)
+@inner
 def _measure_air(
     model: Any, row: np.ndarray, memory: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray
 ) -> None:
@@ -617,7 +633,11 @@ def _eighteen(model: Any) -> int:
     return 18
 
 
-for _type, _size, _read in ((Ins15, _fifteen, _fifteen), (Ins21, _twenty_one, _eighteen), (Ins24, _twenty_four, _eighteen)):
+for _type, _size, _read in (
+    (Ins15, _fifteen, _fifteen),
+    (Ins21, _twenty_one, _eighteen),
+    (Ins24, _twenty_four, _eighteen),
+):
     register(
         _type,
         size=_size,

@@ -24,7 +24,7 @@ import numpy as np
 
 from estimators.alignment import Alignment, Start, attitude_block
 from estimators.generic import register
-from estimators.jit import njit
+from estimators.jit import inner
 from estimators.models.base import MAX_FIELD, MAX_FORCE, MAX_RATE, MAX_SPEED, plausible, report_attitude
 from estimators.rotations import exp_terms, normalise, to_body, to_body_by_q, to_nav, turn
 from estimators.rows import (
@@ -208,7 +208,7 @@ def _measure(
     return _RUNNING if carried and aided and t - memory[_MAG_T] <= MAG_TIMEOUT else _COASTING
 
 
-@njit(forceinline=True, no_cpython_wrapper=True)
+@inner
 def _load_air(model: Any, row: np.ndarray, memory: np.ndarray, u: np.ndarray) -> None:
     t = row[T]
     if row[AIR_NEW] != 0.0 and plausible(row[AIRSPEED], MAX_SPEED):
@@ -231,7 +231,7 @@ def _load_air(model: Any, row: np.ndarray, memory: np.ndarray, u: np.ndarray) ->
     u[6], u[7], u[8] = speed_up * ahead, speed_up * right, speed_up * down
 
 
-@njit(forceinline=True, no_cpython_wrapper=True)
+@inner
 def _load_gnss(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray) -> None:
     if row[GNSS_NEW] != 0.0 and plausible(abs(row[VEL]) + abs(row[VEL + 1]) + abs(row[VEL + 2]), MAX_SPEED):
         valid = row[GNSS_T]
