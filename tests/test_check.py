@@ -234,7 +234,8 @@ METHODS = {"marg": {"marg-ekf": "airspeed", "marg-ckf": "airspeed", "marg-cdkf":
 def _run(folder: Path, suite: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "ahrs_sim.cli", "check", str(suite), *arguments]
     environment = {**os.environ, "PYTHONPATH": str(folder)}
-    return subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    # `-m` looks into the working folder first
+    return subprocess.run(command, capture_output=True, text=True, check=False, env=environment, cwd=folder)
 
 
 @pytest.fixture(scope="module")
