@@ -29,7 +29,7 @@ _HOLD_S = 1.5
 """How much older than the estimates already written a record, a reference or an estimate may still be, s."""
 
 
-REFERENCES = ("/truth/", REFERENCE.topic)
+REFERENCES = ("/truth/odometry", "/truth/state", "/truth/air", REFERENCE.topic)
 """Topics without which there is nothing to compare estimates with."""
 
 
