@@ -125,6 +125,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_check(commands)
     _add_campaign(commands)
 
+    _add_papers(commands)
+
     listing = commands.add_parser("list", help="what there is")
     listing.add_argument("what", choices=["scenarios", "aircraft", "grades", "estimators", "layouts"])
     listing.add_argument("--json", action="store_true")
@@ -176,6 +178,15 @@ def _add_campaign(commands: Any) -> None:
     campaign.add_argument("--json", action="store_true")
     campaign.add_argument("--quiet", action="store_true", help="print nothing but errors")
     campaign.set_defaults(run=_campaign)
+
+
+def _add_papers(commands: Any) -> None:
+    papers = commands.add_parser("papers", help="what the papers claim and what comes out here")
+    papers.add_argument("name", nargs="*", help="cubature, adaptive_ins, fuzzy, emitter, switched (default: all)")
+    papers.add_argument("--quick", action="store_true", help="few runs, to see that it works")
+    papers.add_argument("--json", action="store_true")
+    papers.add_argument("--markdown", type=Path, metavar="FILE", help="write the page of results (docs/papers.md)")
+    papers.set_defaults(run=_papers)
 
 
 def _count(text: str) -> int:
@@ -429,6 +440,27 @@ def _worst(text: str | None, runs: int) -> int:
     if kind != "worst" or not count.isdigit():
         raise InputError(f"--keep-logs {text}: write worst:N or all")
     return int(count)
+
+
+def _papers(arguments: argparse.Namespace) -> None:
+    from ahrs_sim import papers, runs
+
+    chosen = arguments.name or papers.names()
+    for name in chosen:
+        papers.title(name)  # a misspelt one is said before anything runs
+    done = []
+    progress = _Progress("papers", unit="done", hidden=arguments.json)
+    for result in papers.run_all(chosen, arguments.quick, runs.workers_here()):
+        done.append(result)
+        progress(len(done), len(chosen))
+        if not arguments.json:
+            _Progress.clear()
+            print(result.text(), end="\n\n", flush=True)
+    _Progress.clear()
+    if arguments.json:
+        print(json.dumps([result.as_json() for result in done], indent=1))
+    if arguments.markdown:
+        arguments.markdown.write_text(papers.markdown(done), encoding="utf-8")
 
 
 def _list(arguments: argparse.Namespace) -> None:

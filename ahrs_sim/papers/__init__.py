@@ -6,10 +6,12 @@
 A module is imported when its paper is run, not before.
 """
 
+import concurrent.futures as futures
 import importlib
 import math
+import multiprocessing
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
@@ -17,7 +19,11 @@ from typing import Any
 from ahrs_sim.errors import InputError, nearest
 
 _PAPERS = {
+    "cubature": "Cubature Kalman filter for aircraft attitude, beside EKF and CDKF",
+    "adaptive_ins": "Adaptive UKF of a loosely coupled INS/GNSS, heading by number of satellites",
+    "fuzzy": "Fuzzy adaptive Kalman filter: measurement noise from the innovations",
     "emitter": "Gaussian-sum EKF, emitter location with one interferometer baseline",
+    "switched": "Switched EKF without heading: gravity only while nothing else accelerates",
 }
 """Modules of this package, with a title."""
 
@@ -117,7 +123,13 @@ def names() -> list[str]:
 
 
 def title(name: str) -> str:
-    """What the paper is about, one line."""
+    """What the paper is about, one line.
+
+    Raises:
+        InputError: no such paper.
+    """
+    if name not in _PAPERS:
+        raise InputError(f"no paper '{name}'{nearest(name, _PAPERS)}")
     return _PAPERS[name]
 
 
@@ -131,11 +143,32 @@ def run(name: str, quick: bool = False) -> Reproduction:
     Raises:
         InputError: no such paper.
     """
-    if name not in _PAPERS:
-        raise InputError(f"no paper '{name}'{nearest(name, _PAPERS)}")
+    title(name)
     result = importlib.import_module(f"ahrs_sim.papers.{name}").reproduce(quick)
     assert isinstance(result, Reproduction)
     return result
+
+
+def run_all(chosen: Sequence[str], quick: bool = False, workers: int = 2) -> Iterator[Reproduction]:
+    """`run` for several papers, each in a process of its own; in the order asked for, as they are ready."""
+    if len(chosen) < 2 or workers < 2:
+        yield from (run(name, quick) for name in chosen)
+        return
+    with futures.ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield from pool.map(run, chosen, [quick] * len(chosen))
+
+
+def markdown(results: Sequence[Reproduction]) -> str:
+    """The page `docs/papers.md`."""
+    lines = [
+        "# The papers, reproduced",
+        "",
+        "Made by `ahrs-sim papers --markdown docs/papers.md`; do not edit. What each paper claims, what comes out here "
+        "under the same conditions, and why where it differs. No figure is tuned to match.",
+    ]
+    for result in results:
+        lines += ["", f"## {result.name}", "", "```text", result.text(), "```"]
+    return "\n".join(lines) + "\n"
 
 
 def _figure(value: Figure) -> str:

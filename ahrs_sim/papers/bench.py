@@ -1,0 +1,159 @@
+"""What the reproductions of attitude papers share: truth and samples without a log, errors against the truth."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+import estimators
+from ahrs_sim import scenario as scenarios
+from ahrs_sim.flight import open_flight
+from ahrs_sim.flight.truth import Truth
+from ahrs_sim.review import metrics
+from ahrs_sim.scenario import Scenario
+from ahrs_sim.sensors import Assembler, make_suite
+from ahrs_sim.world import gravity, magnetic
+from estimators.estimator import FilterEstimator
+from estimators.rotations import turn
+from estimators.types import Estimates, Samples, SensorInfo, Site
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A flight or drive without sensors."""
+
+    scenario: Scenario
+    truth: Truth
+    site: Site
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a suite has sent of it."""
+
+    flown: Flown
+    samples: Samples
+    sensors: SensorInfo
+
+    def estimate(self, method: str, **settings: Any) -> Estimates:
+        """The answer of a method of the catalogue."""
+        estimates: Estimates = self.create(method, **settings).process(self.samples)
+        return estimates
+
+    def create(self, method: str, **settings: Any) -> Any:
+        """An estimator for these samples."""
+        return estimators.create(method, site=self.flown.site, sensors=self.sensors, **settings)
+
+    def errors(self, estimates: Estimates) -> np.ndarray:
+        """Errors (n, 5) in deg, in the order of `metrics.MEASURES`, NaN where there is no estimate."""
+        truth = self.flown.truth
+        reference = metrics.interpolate(truth.t, truth.q_nb, estimates.t)
+        return np.asarray(np.degrees(metrics.attitude_errors(estimates.q_nb, estimates.down_b, reference)))
+
+
+def fly(data: Mapping[str, Any], name: str) -> Flown:
+    """The truth of a scenario given as TOML data, or of the shipped one that it extends."""
+    scenario = scenarios.parse(dict(data), f"papers: {name}", name)
+    flight = open_flight(scenario)
+    blocks = []
+    while len(block := flight.process(4000)):
+        blocks.append(block)
+    site = Site(
+        lla=(float(flight.start_lla[0]), float(flight.start_lla[1]), float(flight.start_lla[2])),
+        gravity=float(gravity.normal_gravity(flight.start_lla)),
+        mag_n=tuple(magnetic.field_n(flight.start_lla[None], scenario.epoch)[0]),
+    )
+    return Flown(scenario, Truth.concatenate(blocks), site)
+
+
+def measure(flown: Flown, suite: Mapping[str, Any], seed: int, faults: Sequence[Mapping[str, Any]] = ()) -> Measured:
+    """Samples of one suite (a `[suite.NAME]` table) with the errors of one seed."""
+    scenario = flown.scenario
+    data = {**scenario.data, "suite": {"unit": dict(suite)}, "fault": [dict(f) for f in faults]}
+    data["estimator"] = {"none": {"method": "marg-ekf", "suite": "unit"}}
+    with_suite = scenarios.parse(data, scenario.where, scenario.name)
+    made = make_suite(
+        with_suite.suites[0],
+        seed=seed,
+        dt=1.0 / scenario.rate,
+        epoch=scenario.epoch,
+        start_lla=np.array(flown.site.lla),
+        faults=with_suite.faults,
+    )
+    assembler, truth, step = Assembler(), flown.truth, 4000
+    blocks = [assembler.process(made.process(truth[k : k + step])) for k in range(0, len(truth), step)]
+    return Measured(flown, Samples.concatenate(blocks), made.info)
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square of the finite ones."""
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if len(finite) else math.nan
+
+
+def turned(
+    estimator: FilterEstimator, samples: Samples, degrees: float, variance: float | None = None
+) -> tuple[Samples, Any]:
+    """Align an estimator, then turn its heading by so much and let it know how far off it may be.
+
+    Args:
+        estimator: not used before; of the catalogue.
+        samples: begin at rest.
+        degrees: how far to turn it.
+        variance: of the first state components, instead of a heading variance of `degrees`^2 in them.
+
+    Returns:
+        The samples it has not seen and the estimator.
+    """
+    taken = 0
+    while estimator.state()["carry"] is None:
+        estimator.process(samples[taken : taken + 1])
+        taken += 1
+    state = estimator.state()
+    carry = state["carry"]
+    x = carry.x.copy()
+    q = np.empty(4)
+    angle = math.radians(degrees)
+    down = metrics.down(x[None, :4])[0]  # a turn about the vertical is one about `down` in body axes
+    turn(x[:4], *(angle * down), q)
+    x[:4] = q
+    P = _widened(carry.P, x[:4], down, angle)
+    if variance is not None:
+        rank = 4 if len(P) == 10 else 3
+        P = carry.P.copy()
+        P[:rank, :rank] = variance * np.eye(rank)
+    state["carry"] = carry._replace(x=x, P=P)
+    estimator.restore(state)
+    return samples[taken:], estimator
+
+
+def _widened(P: np.ndarray, q: np.ndarray, down: np.ndarray, angle: float) -> np.ndarray:
+    """P with a heading variance of `angle`^2 in it: elements of q, or an error in body axes."""
+    P = P.copy()
+    if len(P) == 10:
+        a, b, c, d = q
+        slope = 0.5 * np.array([[-b, -c, -d], [a, -d, c], [d, a, -b], [-c, b, a]]) @ down
+        P[:4, :4] += angle**2 * np.outer(slope, slope)
+    else:
+        P[:3, :3] += angle**2 * np.outer(down, down)
+    return P
+
+
+def time_until(t: np.ndarray, error: np.ndarray, limit: float) -> float:
+    """Time from t[0] until |error| is below `limit` for good; NaN when never."""
+    above = np.flatnonzero(~(np.abs(error) < limit))
+    first = above[-1] + 1 if len(above) else 0
+    return float(t[first] - t[0]) if first < len(t) else math.nan
+
+
+def time_first(t: np.ndarray, error: np.ndarray, limit: float) -> float:
+    """Time from t[0] until |error| is below `limit` for the first time; NaN when never."""
+    below = np.flatnonzero(np.abs(error) < limit)
+    return float(t[below[0]] - t[0]) if len(below) else math.nan
+
+
+def thinned(measured: Measured, every: int) -> Measured:
+    """Every so many samples of it, as a slower unit would have sent."""
+    return replace(measured, samples=measured.samples[::every])

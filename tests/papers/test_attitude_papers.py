@@ -1,0 +1,65 @@
+"""Reproductions of the attitude papers: their tools, and quick runs of each."""
+
+import json
+
+import numpy as np
+import pytest
+
+from ahrs_sim import cli, papers
+from ahrs_sim.papers import Claim, Reproduction, Verdict, bench, fuzzy
+
+
+def test_a_motion_is_measured_and_estimated_without_a_log():
+    flown = bench.fly({"motion": {"kind": "constant"}, "duration_s": 25.0, "rate_hz": 100.0}, "still")
+    measured = bench.measure(flown, {"grade": "ideal"}, 1)
+    estimates = measured.estimate("marg-ekf", align_s=10.0)
+    assert len(estimates) == len(measured.samples) == 2501
+    error = measured.errors(estimates)
+    assert np.isnan(error[0]).all() and np.abs(error[-1]).max() < 1e-3
+    slow = bench.thinned(measured, 5)
+    assert np.diff(slow.samples.t).mean() == pytest.approx(0.05)
+    rest, turned = bench.turned(measured.create("marg-ekf", align_s=10.0), measured.samples, 30.0)
+    assert len(rest) < len(measured.samples)
+    assert measured.errors(turned.process(rest[:1]))[0, 2] == pytest.approx(30.0, abs=15.0)
+
+
+def test_seeds_differ_and_repeat():
+    flown = bench.fly({"motion": {"kind": "constant"}, "duration_s": 2.0, "rate_hz": 100.0}, "still")
+    a, b, c = (bench.measure(flown, {"grade": "chr_6dm"}, seed).samples.gyro_b for seed in (1, 1, 2))
+    np.testing.assert_array_equal(a, b)
+    assert (a != c).all()
+
+
+def test_times():
+    t, error = np.arange(5.0) + 10.0, np.array([9.0, 1.0, 9.0, 2.0, 1.0])
+    assert bench.time_until(t, error, 5.0) == 3.0 and bench.time_first(t, error, 5.0) == 1.0
+    assert np.isnan(bench.time_until(t, error + 9.0, 5.0)) and np.isnan(bench.time_first(t, error + 9.0, 5.0))
+
+
+def test_the_stepped_regime_covers_every_minute():
+    faults = fuzzy.regime("stepped")
+    assert [f["variance_factor"] for f in faults[::2]] == [5.0, 10.0, 20.0]
+    assert fuzzy.regime("constant") == []
+
+
+def test_the_page_and_the_command(monkeypatch, capsys, tmp_path):
+    made = Reproduction("x", "title", "source", "conditions", [Claim("a", 1.0, 1.0, "", Verdict.REPRODUCED)])
+    monkeypatch.setattr(papers, "run_all", lambda chosen, quick, workers: iter([made]))
+    page = tmp_path / "papers.md"
+    assert cli.main(["papers", "fuzzy", "--markdown", str(page)]) == 0
+    assert "x: title" in capsys.readouterr().out
+    assert page.read_text().startswith("# The papers, reproduced") and "## x" in page.read_text()
+    assert cli.main(["papers", "fuzzy", "--quick", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)[0]["claims"][0]["verdict"] == "reproduced"
+    assert cli.main(["papers", "fuzy"]) == 2
+    assert "did you mean 'fuzzy'" in capsys.readouterr().err
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["cubature", "adaptive_ins", "fuzzy", "switched"])
+def test_quick_reproduction(name):
+    result = papers.run(name, quick=True)
+    json.loads(json.dumps(result.as_json(), allow_nan=False))
+    assert len(result.claims) > 5
+    for claim in result.claims:
+        assert claim.verdict in (Verdict.REPRODUCED, Verdict.OWN) or claim.reason, claim.what
