@@ -140,9 +140,9 @@ def _tilt(adaptation: str) -> dict[str, Setting]:
     return {
         "filter": Setting("ekf", "how the errors are estimated", tuple(_FILTERS)),
         **_ALIGNED,
-        "accel_sigma": Setting(0.03, "of the measured direction of gravity, in parts of gravity", above=0.0),
+        "accel_sigma": Setting(0.05, "of the measured direction of gravity, in parts of gravity", above=0.0),
         "gyro_noise": Setting(3e-4, "rad/s/sqrt(Hz), at least that, beside the data sheet's", minimum=0.0),
-        "bias_time": Setting(40.0, "s, low-pass of the gyro bias; shorter swings with the tilt", above=0.0),
+        "bias_time": Setting(100.0, "s, low-pass of the gyro bias; shorter swings with the tilt", above=0.0),
         "bias_start": Setting("aligned", "gyro bias before it is learned", ("aligned", "zero")),
         **_adaptation(adaptation, accel=0.01),
     }

@@ -149,7 +149,7 @@ def _times(unit: Measured, repeats: int) -> list[Claim]:
     steps = len(unit.samples) - 4000
     for over, under, paper in (("ckf", "cdkf", 35.85 / 43.20), ("ekf", "ckf", 17.94 / 35.85)):
         ratio = found[over] / found[under]
-        verdict = holds(ratio < 1.0)
+        verdict = holds(ratio < 0.9)  # nearer to one it is a draw
         text = f"Table 1, CPU time {over.upper()} over {under.upper()}"
         claims.append(Claim(text, paper, ratio, "", verdict, _SPEED, repeats))
     each = words([1e6 * found[name] / steps for name in _FILTERS])
