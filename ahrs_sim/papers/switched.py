@@ -34,13 +34,13 @@ _MAX = (
 )
 _TRADE = (
     "What the switch lets through: a forward acceleration of 1 m/s2 turns gravity by 6 deg and changes |f| by 0.5 % "
-    "only, so that b = 0.01 sees nothing of gentle braking. At a steady speed (below) most of the error is gone: the "
-    "claim depends on how the car was driven, which the paper does not say."
+    "only, so that b = 0.01 sees nothing of gentle braking. At a steady speed and with the bias known from rest "
+    "(below) the paper's figures come out: the claim depends on a drive and a start that the paper does not describe."
 )
 _BIAS = (
-    "Not learned on laps: the correction after a bend, through which the gyro alone carried the attitude, belongs to "
-    "axes that have turned by half a circle meanwhile, and feeds the bias with the wrong sign as often as with the "
-    "right one. For the same reason the bias harms the attitude little there. Standing, it is learned."
+    "Not learned on laps, most likely because the correction after a bend, through which the gyro alone carried the attitude, belongs to "
+    "axes that have turned by half a circle meanwhile: it feeds the bias with the wrong sign as often as with the "
+    "right one. For the same reason the bias harms the attitude little there. Standing, it is learned, slowly."
 )
 
 
