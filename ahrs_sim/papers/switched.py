@@ -38,7 +38,8 @@ _TRADE = (
     "(below) the paper's figures come out: the claim depends on a drive and a start that the paper does not describe."
 )
 _BIAS = (
-    "Not learned on laps, most likely because the correction after a bend, through which the gyro alone carried the attitude, belongs to "
+    "Not learned on laps, most likely because the correction after a bend, through which the gyro alone carried the "
+    "attitude, belongs to "
     "axes that have turned by half a circle meanwhile: it feeds the bias with the wrong sign as often as with the "
     "right one. For the same reason the bias harms the attitude little there. Standing, it is learned, slowly."
 )
