@@ -7,6 +7,7 @@ import pytest
 
 from ahrs_sim import cli, papers
 from ahrs_sim.papers import Claim, Reproduction, Verdict, bench, fuzzy
+from ahrs_sim.review import metrics
 
 
 def test_a_motion_is_measured_and_estimated_without_a_log():
@@ -20,14 +21,15 @@ def test_a_motion_is_measured_and_estimated_without_a_log():
     assert np.diff(slow.samples.t).mean() == pytest.approx(0.05)
     rest, turned = bench.turned(measured.create("marg-ekf", align_s=10.0), measured.samples, 30.0)
     assert len(rest) < len(measured.samples)
-    assert measured.errors(turned.process(rest[:1]))[0, 2] == pytest.approx(30.0, abs=15.0)
+    headings = [metrics.euler(q[None])[0, 2] for q in (turned.state()["carry"].x[:4], flown.truth.q_nb[0])]
+    assert np.degrees(headings[0] - headings[1]) == pytest.approx(30.0, abs=0.1)
 
 
 def test_seeds_differ_and_repeat():
     flown = bench.fly({"motion": {"kind": "constant"}, "duration_s": 2.0, "rate_hz": 100.0}, "still")
     a, b, c = (bench.measure(flown, {"grade": "chr_6dm"}, seed).samples.gyro_b for seed in (1, 1, 2))
     np.testing.assert_array_equal(a, b)
-    assert (a != c).all()
+    assert (a != c).any()
 
 
 def test_times():
