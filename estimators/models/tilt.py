@@ -23,7 +23,7 @@ import numpy as np
 
 from estimators.alignment import COARSE_TILT, Alignment, Start
 from estimators.generic import register
-from estimators.jit import njit
+from estimators.jit import inner
 from estimators.models.attitude_error import GYRO_TIMEOUT, mean_rate, rotation_slopes
 from estimators.models.base import MAX_FORCE, plausible
 from estimators.rotations import to_body
@@ -59,7 +59,7 @@ def _load(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.
         u[i] -= memory[_BIAS + i]
 
 
-@njit(forceinline=True, no_cpython_wrapper=True)
+@inner
 def _learn(model: Any, dt: float, x: np.ndarray, memory: np.ndarray) -> None:
     """Bias from the last correction, x less what had been predicted; `dt` to the next row stands for the step's own."""
     dx, dy, dz = x[0] - memory[_PREDICTED], x[1] - memory[_PREDICTED + 1], x[2] - memory[_PREDICTED + 2]
