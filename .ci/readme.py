@@ -16,6 +16,6 @@ environment = os.environ | {"PATH": f"{root / '.venv/bin'}:{os.environ['PATH']}"
 for command in commands:
     sys.stdout.write(f"$ {command}\n")
     sys.stdout.flush()
-    done = subprocess.run(["bash", "-c", command], cwd=root, env=environment, check=False)  # noqa: S603
+    done = subprocess.run(["bash", "-c", command], cwd=root, env=environment, check=False)
     if done.returncode:
         sys.exit(f"README: '{command}' ended with {done.returncode}")
