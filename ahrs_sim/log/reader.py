@@ -407,10 +407,9 @@ class LogReader:
         """Pieces uncompressed, the next one by another thread meanwhile: zstd and CRC do without Python's lock."""
         with ThreadPoolExecutor(1) as worker:
             ahead = [worker.submit(self._load, piece, wanted) for piece in pieces[:1]]
-            for following in [*pieces[1:], None]:
+            for i in range(len(pieces)):
                 messages = ahead.pop().result()
-                if following is not None:
-                    ahead.append(worker.submit(self._load, following, wanted))
+                ahead += [worker.submit(self._load, piece, wanted) for piece in pieces[i + 1 : i + 2]]
                 yield messages
 
     def _gather(self, messages: Messages, rows: "dict[int, _Rows]", start: int | None, end: int | None) -> None:
