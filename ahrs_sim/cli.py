@@ -233,6 +233,14 @@ def _fly(arguments: argparse.Namespace) -> int:
     if arguments.output is None:
         output.parent.mkdir(exist_ok=True)
 
+    from ahrs_sim.flight import BLOCK_S
+
+    block_s = arguments.block or BLOCK_S
+    flight = None
+    if scenario.pilot_attitude == "truth":  # flies on while the estimators are being loaded
+        from ahrs_sim.flight.ahead import FlightAhead
+
+        flight = FlightAhead(scenario, max(1, round(block_s * scenario.rate)))
     from ahrs_sim import pipeline
 
     stop: list[int] = []
@@ -242,7 +250,8 @@ def _fly(arguments: argparse.Namespace) -> int:
             scenario,
             output,
             force=arguments.force,
-            block_s=arguments.block or pipeline.BLOCK_S,
+            block_s=block_s,
+            flight=flight.ready() if flight else None,
             progress=_Progress(f"flying {scenario.name}", hidden=arguments.quiet or arguments.json),
             stopped=lambda: bool(stop),
         )

@@ -17,7 +17,7 @@ import numpy as np
 
 import estimators
 from ahrs_sim.errors import FlightError, InputError
-from ahrs_sim.flight import Flight, open_flight
+from ahrs_sim.flight import BLOCK_S, Flight, open_flight
 from ahrs_sim.flight.truth import Event, Truth
 from ahrs_sim.log.record import FlightLog
 from ahrs_sim.scenario import Component, Scenario
@@ -25,9 +25,6 @@ from ahrs_sim.sensors import Assembler, Suite, make_suite
 from ahrs_sim.sensors.faults import check_suites
 from ahrs_sim.world import gravity, magnetic
 from estimators.types import Columns, Estimates, SensorInfo, Site
-
-BLOCK_S = 2.0
-"""Length of a block when no estimator flies the aircraft, and of what the log is given at once."""
 
 LIGHT_CHUNK_S = 10.0
 """Length of the chunks of a light log: a crash loses the run in any case."""
@@ -50,6 +47,7 @@ def fly(
     force: bool = False,
     block_s: float = BLOCK_S,
     light: bool = False,
+    flight: Flight | None = None,
     progress: Callable[[float, float | None], None] = lambda t, end: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
@@ -61,6 +59,7 @@ def fly(
         force: replace an existing log.
         block_s: length of the blocks, s; the log does not depend on it.
         light: log only what `compare` reads.
+        flight: the scenario's flight, if it has begun already (see `flight.ahead`).
         progress: called with the time reached and the expected end (None: unknown), s.
         stopped: asked after every block; true ends the flight and completes the log.
 
@@ -68,11 +67,14 @@ def fly(
         InputError: something in the scenario is wrong, or the output cannot be written.
         FlightError: the flight did not reach its end; the log is complete up to there.
     """
-    flight = open_flight(scenario)
+    closed_loop = scenario.pilot_attitude != "truth"
+    rows = max(1, round(block_s * scenario.rate))
+    if flight is None:
+        flight = open_flight(scenario)
     site = _site(scenario, flight)
     chains = _chains(scenario, site, flight)
-    closed_loop = scenario.pilot_attitude != "truth"
-    rows = _rows_per_sample(scenario, chains) if closed_loop else max(1, round(block_s * scenario.rate))
+    if closed_loop:
+        rows = _rows_per_sample(scenario, chains)
     attachments = {"scenario.toml": scenario.toml().encode(), **flight.attachments()}
     with FlightLog(
         output,

@@ -200,7 +200,7 @@ FAULTS = {
     "marg: noise 3 x off": (
         "estimators/models/marg.py",
         'R_accel, R_mag = settings["accel_sigma"] ** 2 * np.eye(3)',
-        'R_accel, R_mag = settings["accel_sigma"] ** 2 / 9.0 * np.eye(3)',
+        'R_accel, R_mag = settings["accel_sigma"] ** 2 * 9.0 * np.eye(3)',
         {"marg-ekf", "marg-ckf", "marg-cdkf"},
     ),
     "marg: lost bias": (

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ahrs_sim import pipeline, scenario
 from ahrs_sim.cli import main
 from ahrs_sim.log.reader import LogReader
 from ahrs_sim.log.record import FlightReader
@@ -68,6 +69,13 @@ def test_same_seed_same_bytes_whatever_the_block(tmp_path: Path) -> None:
     assert first == logs[1].read_bytes()
     assert first == logs[2].read_bytes()
     assert first != logs[3].read_bytes()
+
+
+def test_a_process_of_its_own_flies_the_same(tmp_path: Path) -> None:
+    ahead, here = tmp_path / "ahead.mcap", tmp_path / "here.mcap"
+    assert fly("circuit", "--duration", "75", "-o", ahead) == 0
+    pipeline.fly(scenario.load("circuit", duration=75.0), here)
+    assert ahead.read_bytes() == here.read_bytes()
 
 
 def test_one_sample_blocks_are_the_same_code(tmp_path: Path) -> None:
@@ -170,14 +178,14 @@ BAD = {
 @pytest.mark.parametrize("case", BAD)
 def test_bad_scenarios_get_one_line_and_leave_nothing(tmp_path: Path, case: str) -> None:
     text, word = BAD[case]
-    scenario, log = tmp_path / "bad.toml", tmp_path / "bad.mcap"
-    scenario.write_text(text)
-    done = run("fly", scenario, "-o", log)
+    scene, log = tmp_path / "bad.toml", tmp_path / "bad.mcap"
+    scene.write_text(text)
+    done = run("fly", scene, "-o", log)
     assert done.returncode == 2, done.stderr
     assert done.stderr.count("\n") == 1, done.stderr
     assert "bad.toml" in done.stderr
     assert word in done.stderr
-    assert list(tmp_path.iterdir()) == [scenario]
+    assert list(tmp_path.iterdir()) == [scene]
 
 
 def test_existing_and_unwritable_output(tmp_path: Path) -> None:
@@ -241,15 +249,15 @@ aiding = "{}"
 
 
 def test_the_aircraft_flies_on_an_estimate(tmp_path: Path) -> None:
-    scenario, log = tmp_path / "closed.toml", tmp_path / "closed.mcap"
-    scenario.write_text(CLOSED.format("airspeed"))
-    assert fly(scenario, "-o", log, "--estimator", "pilot-chr") == 0
+    scene, log = tmp_path / "closed.toml", tmp_path / "closed.mcap"
+    scene.write_text(CLOSED.format("airspeed"))
+    assert fly(scene, "-o", log, "--estimator", "pilot-chr") == 0
     closed = compare(log)
     assert closed["to_s"] == pytest.approx(100, abs=0.1)
     assert closed["estimators"]["pilot-chr"]["tilt_rmse_deg"] < 3.0
     opened = tmp_path / "open.mcap"
-    scenario.write_text(CLOSED.format("airspeed").replace("attitude", "#"))
-    assert fly(scenario, "-o", opened, "--estimator", "pilot-chr") == 0
+    scene.write_text(CLOSED.format("airspeed").replace("attitude", "#"))
+    assert fly(scene, "-o", opened, "--estimator", "pilot-chr") == 0
     with FlightReader(log) as a, FlightReader(opened) as b:
         flown, on_truth = a.truth(), b.truth()
     standing = slice(0, 5000)
@@ -260,9 +268,9 @@ def test_the_aircraft_flies_on_an_estimate(tmp_path: Path) -> None:
 
 def test_a_crash_ends_the_flight_with_an_event_and_a_whole_log(tmp_path: Path) -> None:
     """The unaided filter takes the acceleration of the take-off for a pitch of tens of degrees."""
-    scenario, log = tmp_path / "closed.toml", tmp_path / "closed.mcap"
-    scenario.write_text(CLOSED.format("none"))
-    done = run("fly", scenario, "-o", log, "--quiet")
+    scene, log = tmp_path / "closed.toml", tmp_path / "closed.mcap"
+    scene.write_text(CLOSED.format("none"))
+    done = run("fly", scene, "-o", log, "--quiet")
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
     assert "crash" in done.stderr

@@ -7,6 +7,9 @@ import numpy as np
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
 from ahrs_sim.scenario import Scenario
 
+BLOCK_S = 2.0
+"""s, length of a block when no estimator flies the aircraft."""
+
 
 class Flight(Protocol):
     """A flight as the pipeline sees it, the same for JSBSim and for a motion."""
