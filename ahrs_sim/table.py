@@ -10,7 +10,7 @@ table.close()                                   # keys nobody asked for are erro
 import datetime
 import math
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -164,7 +164,7 @@ def _closest(word: str, known: Sequence[str]) -> str:
     return hint.split("'")[1] if hint.startswith("; did") else ""
 
 
-def read_toml(path: Path, adjust: Callable[[dict[str, Any]], dict[str, Any]] | None = None) -> Table:
+def read_toml(path: Path) -> Table:
     """Parse a TOML file.
 
     Raises:
@@ -178,4 +178,4 @@ def read_toml(path: Path, adjust: Callable[[dict[str, Any]], dict[str, Any]] | N
         raise InputError(f"{path}: cannot be read ({error})") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not valid TOML: {error}") from None
-    return Table(adjust(data) if adjust else data, str(path))
+    return Table(data, str(path))
