@@ -6,13 +6,10 @@ import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ahrs_sim.errors import AhrsSimError, FlightError, InputError
 from estimators.errors import EstimationError
-
-if TYPE_CHECKING:
-    from ahrs_sim.scenario import Scenario
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -242,40 +239,37 @@ def _fly(arguments: argparse.Namespace) -> int:
 
         flight = FlightAhead(scenario, max(1, round(block_s * scenario.rate)))
     from ahrs_sim import pipeline
+    from ahrs_sim.review import compare
 
+    judge = compare.Judge([e.name for e in scenario.estimators])
     stop: list[int] = []
+    failure: FlightError | None = None
     previous = signal.signal(signal.SIGINT, lambda *_: stop.append(1))
     try:
         pipeline.fly(
             scenario,
             output,
+            judge=judge,
             force=arguments.force,
             block_s=block_s,
             flight=flight.ready() if flight else None,
             progress=_Progress(f"flying {scenario.name}", hidden=arguments.quiet or arguments.json),
             stopped=lambda: bool(stop),
         )
-    except FlightError:
-        _report(output, scenario, arguments)
-        raise
+    except FlightError as error:
+        failure = error  # the accuracy up to there comes first
     finally:
         signal.signal(signal.SIGINT, previous)
         _Progress.clear()
-    _report(output, scenario, arguments)
+    if not arguments.quiet:
+        result = {"log": str(output), **judge.result()}
+        if arguments.json:
+            print(json.dumps(result, indent=1))
+        else:
+            print(*([compare.table(result)] if scenario.estimators else []), output, sep="\n")
+    if failure:
+        raise failure
     return 130 if stop else 0
-
-
-def _report(output: Path, scenario: "Scenario", arguments: argparse.Namespace) -> None:
-    """The accuracy of what was just flown, and where its log is."""
-    if arguments.quiet:
-        return
-    if scenario.estimators:
-        from ahrs_sim.review import compare
-
-        result = compare.compare(output)
-        print(json.dumps(result, indent=1) if arguments.json else compare.table(result))
-    if not arguments.json:
-        print(output)
 
 
 def _replay(arguments: argparse.Namespace) -> None:

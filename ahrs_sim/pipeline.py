@@ -1,17 +1,18 @@
 """A flight from scenario to log: one loop over blocks.
 
-    flight -> sensors -> estimators -> log
+    flight -> sensors -> estimators -> log, judge
 
 Each stage has `process(block) -> block` and keeps its own state. When an estimator flies the aircraft a block is one
 IMU sample long, else seconds; nothing else differs, and the log's bytes do not depend on it.
 """
 
+import contextlib
 import dataclasses
 import platform
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,15 +20,15 @@ import estimators
 from ahrs_sim.errors import FlightError, InputError
 from ahrs_sim.flight import BLOCK_S, Flight, open_flight
 from ahrs_sim.flight.truth import Event, Truth
-from ahrs_sim.log.record import FlightLog
+from ahrs_sim.log.record import TRUTH_RATE, Every, FlightLog
 from ahrs_sim.scenario import Component, Scenario
 from ahrs_sim.sensors import Assembler, Suite, make_suite
 from ahrs_sim.sensors.faults import check_suites
 from ahrs_sim.world import gravity, magnetic
 from estimators.types import Columns, Estimates, SensorInfo, Site
 
-LIGHT_CHUNK_S = 10.0
-"""Length of the chunks of a light log: a crash loses the run in any case."""
+if TYPE_CHECKING:
+    from ahrs_sim.review.compare import Judge
 
 
 @dataclass
@@ -42,23 +43,23 @@ class Chain:
 
 def fly(
     scenario: Scenario,
-    output: Path,
+    output: Path | None,
     *,
+    judge: "Judge | None" = None,
     force: bool = False,
     block_s: float = BLOCK_S,
-    light: bool = False,
     flight: Flight | None = None,
     progress: Callable[[float, float | None], None] = lambda t, end: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Fly a scenario into a log.
+    """Fly a scenario into a log, or before a judge, or both.
 
     Args:
         scenario: what to fly.
-        output: the log; `output.part` until it is complete.
+        output: the log; `output.part` until it is complete. None: no log.
+        judge: told of the truth and of the estimates as they come (see `review.compare`).
         force: replace an existing log.
         block_s: length of the blocks, s; the log does not depend on it.
-        light: log only what `compare` reads.
         flight: the scenario's flight, if it has begun already (see `flight.ahead`).
         progress: called with the time reached and the expected end (None: unknown), s.
         stopped: asked after every block; true ends the flight and completes the log.
@@ -75,24 +76,25 @@ def fly(
     chains = _chains(scenario, site, flight)
     if closed_loop:
         rows = _rows_per_sample(scenario, chains)
-    attachments = {"scenario.toml": scenario.toml().encode(), **flight.attachments()}
-    with FlightLog(
-        output,
-        epoch_ns=scenario.epoch_ns,
-        truth_rate=scenario.rate,
-        suites={c.suite.name: c.suite.instruments for c in chains},
-        estimators=[name for c in chains for name in c.estimators],
-        attachments=attachments,
-        metadata=_metadata(scenario, site, chains),
-        force=force,
-        light=light,
-        chunk_s=LIGHT_CHUNK_S if light else 1.0,
-    ) as log:
-        record = _Recorder(log)
+    with contextlib.ExitStack() as stack:
+        log = None
+        if output is not None:
+            log = FlightLog(
+                output,
+                epoch_ns=scenario.epoch_ns,
+                truth_rate=scenario.rate,
+                suites={c.suite.name: c.suite.instruments for c in chains},
+                estimators=[name for c in chains for name in c.estimators],
+                attachments={"scenario.toml": scenario.toml().encode(), **flight.attachments()},
+                metadata=_metadata(scenario, site, chains),
+                force=force,
+            )
+            stack.enter_context(log)
+        record = _Recorder(log, judge, scenario.rate)
         while len(truth := flight.process(rows)):
             t = float(truth.t[-1])
-            record.add(log.truth, truth)
-            record.add(log.setpoints, flight.take_setpoints())
+            record.add("truth", truth)
+            record.add("setpoints", flight.take_setpoints())
             due = record.due(t)
             for chain in chains:
                 chain.waiting.append(truth)
@@ -104,14 +106,14 @@ def fly(
                 record.events([Event(t, "warning", "flight", "stopped by the user")])
                 break
             if due:
-                record.flush()
-                log.advance(t)
+                record.flush(t)
         for chain in chains:
             _listen(chain, record, flight, scenario.pilot_attitude)
         record.events(flight.take_events())
         record.flush()
     if flight.error:
-        raise FlightError(f"{scenario.where}: {flight.error}; the log is complete up to there: {output}")
+        kept = f"; the log is complete up to there: {output}" if output else ""
+        raise FlightError(f"{scenario.where}: {flight.error}{kept}")
 
 
 def _listen(chain: Chain, record: "_Recorder", flight: Flight, pilot: str) -> None:
@@ -121,28 +123,30 @@ def _listen(chain: Chain, record: "_Recorder", flight: Flight, pilot: str) -> No
     block = chain.suite.process(Truth.concatenate(chain.waiting))
     chain.waiting.clear()
     for instrument, sent in block.items():
-        record.add(record.log.record, sent, chain.suite.name, instrument)
+        record.add("record", sent, chain.suite.name, instrument)
     samples = chain.assembler.process(block)
     for name, estimator in chain.estimators.items():
         estimates = estimator.process(samples)
-        record.add(record.log.estimates, estimates, name)
+        record.add("estimates", estimates, name)
         if name == pilot:
             _feed_back(flight, estimates, samples.gyro_b)
     record.events(chain.suite.take_events())
 
 
 class _Recorder:
-    """Gathers small blocks and hands the log seconds at once: a message costs little, a call does not."""
+    """Gathers small blocks and hands on seconds at once: a message costs little, a call does not."""
 
-    def __init__(self, log: FlightLog) -> None:
-        self.log = log
-        self.waiting: dict[tuple[Any, ...], list[Columns]] = {}
+    def __init__(self, log: FlightLog | None, judge: "Judge | None", truth_rate: float) -> None:
+        self.log, self.judge = log, judge
+        self.judged = Every(truth_rate / TRUTH_RATE)  # what the log keeps, so that both give the same figures
+        self.waiting: dict[tuple[str, ...], list[Columns]] = {}
         self.event_list: list[Event] = []
         self.flushed_to = 0.0
 
-    def add(self, write: Callable[..., None], block: Columns, *key: str) -> None:
+    def add(self, kind: str, block: Columns, *key: str) -> None:
+        """A block for the method `kind` of the log."""
         if len(block):
-            self.waiting.setdefault((write, *key), []).append(block)
+            self.waiting.setdefault((kind, *key), []).append(block)
 
     def events(self, events: list[Event]) -> None:
         self.event_list.extend(events)
@@ -153,11 +157,23 @@ class _Recorder:
         self.flushed_to = t if due else self.flushed_to
         return due
 
-    def flush(self) -> None:
-        for (write, *key), blocks in self.waiting.items():
-            write(*key, Columns.concatenate.__func__(type(blocks[0]), blocks))  # type: ignore[attr-defined]
+    def flush(self, t: float | None = None) -> None:
+        """Hand on what is there; all up to `t` (s) has come."""
+        for (kind, *key), blocks in self.waiting.items():
+            block: Any = Columns.concatenate.__func__(type(blocks[0]), blocks)  # type: ignore[attr-defined]
+            if self.log:
+                getattr(self.log, kind)(*key, block)
+            if self.judge and kind == "truth":
+                rows = self.judged.rows(len(block))
+                speed = np.linalg.norm(block.vel_n[rows], axis=1)
+                self.judge.truth(block.t[rows], block.q_nb[rows], speed, block.on_ground[rows])
+            elif self.judge and kind == "estimates":
+                self.judge.estimates(key[0], block)
         self.waiting.clear()
-        self.log.events(self.event_list)
+        if self.log:
+            self.log.events(self.event_list)
+            if t is not None:
+                self.log.advance(t)
         self.event_list = []
 
 

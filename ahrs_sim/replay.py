@@ -29,7 +29,7 @@ _HOLD_S = 1.5
 """How much older than the estimates already written a record, a reference or an estimate may still be, s."""
 
 
-REFERENCES = ("/truth/odometry", "/truth/state", "/truth/air", REFERENCE.topic)
+REFERENCES = ("/truth/imu", "/truth/state", "/truth/air", REFERENCE.topic)
 """Topics without which there is nothing to compare estimates with."""
 
 
@@ -121,7 +121,7 @@ def accuracy(
 ) -> dict[str, Any] | None:
     """Errors of the estimates in a log made by `replay`; None when it has no truth and no reference."""
     with FlightReader(output) as log:
-        if "/truth/odometry" not in log.topics and REFERENCE.topic not in log.topics:
+        if "/truth/imu" not in log.topics and REFERENCE.topic not in log.topics:
             return None
     from ahrs_sim.review import compare
 

@@ -14,7 +14,6 @@ import concurrent.futures as futures
 import contextlib
 import multiprocessing
 import os
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
@@ -62,9 +61,7 @@ def fly(run: Run) -> Outcome:
     """Fly a run here and now and compare it; whatever goes wrong is in the outcome."""
     try:
         scenario = run.scenario()
-        with tempfile.TemporaryDirectory(prefix="ahrs_sim-") as folder:
-            log = Path(run.log or f"{folder}/run.mcap")
-            return Outcome(run.key, _flown(scenario, log, light=run.log is None, band_s=run.band_s))
+        return Outcome(run.key, _flown(scenario, Path(run.log) if run.log else None, run.band_s))
     except FlightError as error:
         return Outcome(run.key, error=str(error).partition("; the log")[0])
     except AhrsSimError as error:
@@ -73,12 +70,13 @@ def fly(run: Run) -> Outcome:
         return Outcome(run.key, error=f"{type(error).__name__}: {error}")
 
 
-def _flown(scenario: Scenario, log: Path, *, light: bool, band_s: float | None) -> dict[str, dict[str, Any]]:
+def _flown(scenario: Scenario, log: Path | None, band_s: float | None) -> dict[str, dict[str, Any]]:
     from ahrs_sim import pipeline
     from ahrs_sim.review import compare
 
-    pipeline.fly(scenario, log, force=True, light=light)
-    result = compare.compare(log, band_s=band_s)
+    judge = compare.Judge([e.name for e in scenario.estimators], honesty=band_s is not None)
+    pipeline.fly(scenario, log, judge=judge, force=True)
+    result = judge.result(band_s=band_s)
     return {name: flat(values) for name, values in result["estimators"].items()}
 
 

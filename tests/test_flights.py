@@ -59,6 +59,13 @@ def test_fly_prints_the_table_and_the_path(tmp_path: Path) -> None:
     assert done.stdout.rstrip().endswith(str(log))
 
 
+def test_fly_and_compare_say_the_same(tmp_path: Path) -> None:
+    log = tmp_path / "a.mcap"
+    done = run("fly", "circuit", "--duration", "90", "-o", log, "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == compare(log)
+
+
 def test_same_seed_same_bytes_whatever_the_block(tmp_path: Path) -> None:
     logs = [tmp_path / f"{i}.mcap" for i in range(4)]
     assert fly("circuit", "--duration", "75", "-o", logs[0]) == 0

@@ -375,7 +375,7 @@ EVENTS = Route("/events", "ahrs_sim_msgs/msg/Event", "", "Worth knowing: a step 
 # ----------------------------------------------------------------------------------------------- writing
 
 
-class _Every:
+class Every:
     """Picks every k-th row of a stream that comes in blocks of any length."""
 
     def __init__(self, k: float) -> None:
@@ -383,6 +383,7 @@ class _Every:
         self.seen = 0
 
     def rows(self, n: int) -> np.ndarray:
+        """Which of the next `n` rows to take."""
         first = -self.seen % self.k
         self.seen += n
         return np.arange(first, n, self.k)
@@ -395,11 +396,10 @@ class EstimateTopics:
         writer: of the log.
         epoch_ns: zero of the estimates' time, ns since 1970.
         names: of the estimators.
-        light: the state alone.
     """
 
-    def __init__(self, writer: LogWriter, epoch_ns: int, names: Iterable[str], *, light: bool = False) -> None:
-        self.writer, self.epoch_ns, self._light = writer, epoch_ns, light
+    def __init__(self, writer: LogWriter, epoch_ns: int, names: Iterable[str]) -> None:
+        self.writer, self.epoch_ns = writer, epoch_ns
         self._channels = {
             name: (STATE.channel(writer, f"/est/{name}"), ESTIMATED_IMU.channel(writer, f"/est/{name}"))
             for name in names
@@ -412,8 +412,6 @@ class EstimateTopics:
         times = nanoseconds(self.epoch_ns, block.t)
         state, imu = self._channels[name]
         self.writer.write(state, times, times, **STATE.columns(block))
-        if self._light:
-            return
         known = np.isfinite(block.q_nb).all(axis=1)
         if known.any():
             block, times = _picked(block, known), times[known]
@@ -439,8 +437,6 @@ class FlightLog:
         metadata: records of names and values: seeds, versions, specifications.
         force: overwrite an existing log.
         chunk_s: what a crash can cost, s.
-        light: only what a comparison reads (truth, true biases, states of the estimators, events), uncompressed: a
-            tenth of the work, for runs of which the figures are kept and not the log.
 
     Raises:
         InputError: the log exists, or cannot be created.
@@ -458,16 +454,14 @@ class FlightLog:
         metadata: Mapping[str, Mapping[str, str]] | None = None,
         force: bool = False,
         chunk_s: float = 1.0,
-        light: bool = False,
     ) -> None:
         self.epoch_ns = epoch_ns
-        self._light = light
-        self.writer = writer = LogWriter(path, epoch_ns=epoch_ns, force=force, chunk_s=chunk_s, compress=not light)
+        self.writer = writer = LogWriter(path, epoch_ns=epoch_ns, force=force, chunk_s=chunk_s)
         self._origin: np.ndarray | None = None
-        self._logged = _Every(truth_rate / TRUTH_RATE)
-        self._moved = _Every(truth_rate / TF_RATE)
-        self._fixed = _Every(truth_rate / FIX_RATE)
-        self._warmed: dict[str, _Every] = {}
+        self._logged = Every(truth_rate / TRUTH_RATE)
+        self._moved = Every(truth_rate / TF_RATE)
+        self._fixed = Every(truth_rate / FIX_RATE)
+        self._warmed: dict[str, Every] = {}
         self._saturated: dict[tuple[str, str], bool] = {}
 
         self._tf_static = self._frames(TF_STATIC)
@@ -487,8 +481,8 @@ class FlightLog:
                     self._status[key] = STATUS[instrument].channel(writer, f"/{suite}")
                 if instrument == "imu":
                     self._temperature[suite] = TEMPERATURE.channel(writer, f"/{suite}")
-                    self._warmed[suite] = _Every(TEMPERATURE_EVERY)
-        self._estimates = EstimateTopics(writer, epoch_ns, estimators, light=light)
+                    self._warmed[suite] = Every(TEMPERATURE_EVERY)
+        self._estimates = EstimateTopics(writer, epoch_ns, estimators)
         for name, values in (metadata or {}).items():
             writer.metadata(name, values)
         for name, data in (attachments or {}).items():
@@ -519,8 +513,6 @@ class FlightLog:
                 columns["twist.twist.linear"] = _to_body(logged.q_nb, logged.vel_n)
                 columns["twist.twist.angular"] = logged.rate_ib_b
             self.writer.write(channel, times[rows], times[rows], **columns)
-        if self._light:
-            return
         rows = self._moved.rows(len(block))
         moved = {
             "transforms.0.transform.translation": _offset_n(block.lla[rows], self._origin),
@@ -540,7 +532,7 @@ class FlightLog:
 
     def record(self, suite: str, instrument: str, block: Record) -> None:
         """What an instrument has sent, in the order of its stamps."""
-        if not len(block) or (self._light and instrument != "imu_errors"):
+        if not len(block):
             return
         route = INSTRUMENTS[instrument][1]
         columns = route.columns(block)
@@ -569,8 +561,6 @@ class FlightLog:
 
     def setpoints(self, block: Setpoints) -> None:
         """What the pilot asks for."""
-        if self._light:
-            return
         times = self._ns(block.t)
         self.writer.write(self._setpoints, times, times, **SETPOINTS.columns(block))
 

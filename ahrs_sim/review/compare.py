@@ -1,11 +1,9 @@
-"""`ahrs-sim compare`: how wrong was each estimator, over all and by phase of the flight.
-
-The log is read in its own chunks and only errors are kept (float32), so memory hardly grows with the flight.
-"""
+"""`ahrs-sim compare`: how wrong was each estimator, over all and by phase of the flight."""
 
 import io
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +12,11 @@ import numpy as np
 from ahrs_sim.bags import frames
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.log.reader import quaternion, stamps, vector
-from ahrs_sim.log.record import REFERENCE, FlightReader
+from ahrs_sim.log.record import REFERENCE, STATE, FlightReader
 from ahrs_sim.review import metrics
+from estimators.types import Estimates
 
-TRUTH_TOPIC = "/truth/odometry"
+TRUTH_TOPIC = "/truth/imu"
 STATE_TOPIC = "/truth/state"
 AIR_TOPIC = "/truth/air"
 
@@ -30,11 +29,109 @@ ACCELERATION = 1.0
 SETTLING = 20.0
 """s after a turn or an acceleration that count as transient: what an estimator learnt wrong in it dies away."""
 
+PHASE_RATE = 20.0
+"""Hz at which the truth is looked at to tell the phase."""
+
+LATE_S = 2.0
+"""s that an estimate may come after the truth of its instant has: sensors deliver late."""
+
 STANDING = 0.5
 """m/s below which an aircraft on its wheels stands."""
 
 PHASES = ("ground", "straight", "turning", "transient")
 """Standing on the ground; steady straight flight; turning in the air; everything else, settling included."""
+
+
+class Judge:
+    """Errors of estimators against the truth, as both come in: during a flight, or out of its log.
+
+    Blocks may have any length, but the truth of an instant has to come before, and at most `LATE_S` after, what the
+    estimators say of it. Only errors are kept (float32), so memory hardly grows with the flight.
+
+    Args:
+        names: of the estimators, in the order of the result.
+        against: compare them with these attitudes instead; the truth then only tells the phase.
+        honesty: keep NEES and NIS too.
+    """
+
+    def __init__(
+        self, names: Iterable[str], *, against: "Mapping[str, History] | None" = None, honesty: bool = False
+    ) -> None:
+        self._against = against
+        self._honesty = honesty
+        self._parts: dict[str, list[tuple[np.ndarray, ...]]] = {name: [] for name in names}
+        self._waiting: list[tuple[str, Estimates]] = []
+        self._recent = History(np.empty(0), np.empty((0, 4)))  # truth that estimates may still ask for
+        self._coarse: list[tuple[np.ndarray, ...]] = []  # truth for the phases
+        self._cell = -math.inf
+
+    def truth(self, t: np.ndarray, q_nb: np.ndarray, speed: np.ndarray, on_ground: np.ndarray) -> None:
+        """More of the truth: s, (n, 4), m/s relative to the Earth, weight on the wheels; (n,) each, t rising."""
+        if not len(t):
+            return
+        t = _whole_ns(t)
+        old = self._recent
+        kept = old.t > old.t[-1] - LATE_S if len(old.t) else slice(0)
+        self._recent = History(np.concatenate([old.t[kept], t]), np.concatenate([old.q_nb[kept], q_nb]))
+        rows, self._cell = _coarse(t, self._cell)
+        self._coarse.append((t[rows], q_nb[rows], speed[rows], on_ground[rows]))
+        waiting, self._waiting = self._waiting, []
+        for name, estimates in waiting:
+            self.estimates(name, estimates)
+
+    def estimates(self, name: str, block: Estimates) -> None:
+        """More of what an estimator says."""
+        block = replace(block, t=_whole_ns(block.t))
+        if self._against is None:
+            reached = self._recent.t[-1] + 1e-9 if len(self._recent.t) else -math.inf
+            if len(block) and block.t[-1] > reached:
+                known = int(np.searchsorted(block.t, reached, "right"))
+                self._waiting.append((name, block[known:]))
+                block = block[:known]
+            history = self._recent
+        else:
+            history = self._against[name]
+        if not len(block):
+            return
+        reference = metrics.interpolate(history.t, history.q_nb, block.t)
+        errors = metrics.attitude_errors(block.q_nb, block.down_b, reference).astype(np.float32)
+        honesty = _honesty(block, reference) if self._honesty else np.empty((len(block), 0), np.float32)
+        self._parts[name].append((block.t, errors, honesty))
+
+    def span(self) -> tuple[float, float]:
+        """First and last time (s) there is something to compare with; (inf, -inf) when nowhere."""
+        if self._against is not None:
+            ends = [(h.t[0], h.t[-1]) for h in self._against.values()]
+        else:
+            ends = [(p[0][0], self._recent.t[-1]) for p in self._coarse[:1]]
+        return min((float(a) for a, _ in ends), default=math.inf), max((float(b) for _, b in ends), default=-math.inf)
+
+    def result(
+        self, reference: str = "truth", *, low: float = -math.inf, high: float = math.inf, band_s: float | None = None
+    ) -> dict[str, Any]:
+        """What `compare` returns but for the log's name, over the span from `low` to `high` (s)."""
+        first, last = self.span()
+        t_phase, phase = np.empty(0), np.empty(0, int)
+        if sum(len(part[0]) for part in self._coarse) >= 2:
+            t_phase, q_nb, speed, on_ground = (np.concatenate(c) for c in zip(*self._coarse, strict=True))
+            phase = phases(t_phase, q_nb, speed, on_ground)
+        found = {}
+        for name, parts in self._parts.items():
+            if parts:
+                t, errors, honesty = (np.concatenate(column) for column in zip(*parts, strict=True))
+            else:
+                t, errors, honesty = np.empty(0), np.empty((0, len(metrics.MEASURES))), np.empty((0, 3))
+            within = (t >= low) & (t <= high)
+            t, errors = t[within], errors[within]
+            found[name] = _summary(errors, phase[_row(t_phase, t)] if len(phase) else np.full(len(t), -1))
+            if band_s is not None:
+                found[name] |= _details(t, errors, honesty[within], band_s)
+        return {
+            "reference": reference,
+            "from_s": max(low, first),
+            "to_s": min(high, last),
+            "estimators": found,
+        }
 
 
 def compare(
@@ -68,61 +165,96 @@ def compare(
     Raises:
         InputError: no log, no truth or estimator in it, or an unknown reference.
     """
+    low, high = -math.inf if start is None else start, math.inf if end is None else end
     with FlightReader(path) as log:
-        span = -math.inf if start is None else start, math.inf if end is None else end
-        return _compare(log, reference, *span, band_s, align, sync)
-
-
-def _compare(
-    log: FlightReader,
-    reference: str | None,
-    low: float,
-    high: float,
-    band_s: float | None,
-    align: str | None,
-    sync: bool,
-) -> dict[str, Any]:
-    path, names = log.path, log.estimators
-    if not names:
-        raise InputError(f"{path}: no estimates in it (no topic /est/NAME/state); replay it with an estimator first")
-    truth, against = _reference(log, reference)
-    span = (against if truth is None else truth).t
-    if max(low, span[0]) >= min(high, span[-1]):
-        raise InputError(f"{path}: --from/--to: the log spans {span[0]:.1f} to {span[-1]:.1f} s")
-    adjusted = {name: _adjusted(log, name, against, low, high, align, sync) for name in names}
-    estimators = {}
-    for name, (t, errors, honesty) in _errors(
-        log, {n: a for n, (a, _) in adjusted.items()}, band_s is not None
-    ).items():
-        within = (t >= low) & (t <= high)
-        phase = np.full(int(within.sum()), -1) if truth is None else truth.phase[_row(truth.t, t[within])]
-        estimators[name] = _summary(errors[within], phase) | adjusted[name][1]
-        if band_s is not None:
-            estimators[name] |= _details(t[within], errors[within], honesty[within], band_s)
-    return {
-        "log": str(path),
-        "reference": reference or ("truth" if against is truth else REFERENCE.topic),
-        "from_s": float(max(low, span[0])),
-        "to_s": float(min(high, span[-1])),
-        "estimators": estimators,
-    }
+        names = log.estimators
+        if not names:
+            raise InputError(
+                f"{path}: no estimates in it (no topic /est/NAME/state); replay it with an estimator first"
+            )
+        has_truth = TRUTH_TOPIC in log.topics
+        if reference is None and not has_truth and REFERENCE.topic in log.topics:
+            reference = REFERENCE.topic
+        against: dict[str, History] | None = None
+        told: dict[str, dict[str, Any]] = {name: {} for name in names}
+        if reference is not None or align is not None or sync:
+            history = attitudes(log, reference)
+            adjusted = {name: _adjusted(log, name, history, low, high, align, sync) for name in names}
+            against = {name: a for name, (a, _) in adjusted.items()}
+            told = {name: t for name, (_, t) in adjusted.items()}
+        elif not has_truth:
+            raise InputError(f"{path}: no {TRUTH_TOPIC} in it: there is nothing to compare with")
+        judge = Judge(names, against=against, honesty=band_s is not None)
+        listen(log, judge, names, honesty=band_s is not None)
+    first, last = judge.span()
+    if first >= last:
+        raise InputError(f"{path}: {TRUTH_TOPIC} is empty: there is nothing to compare with")
+    if max(low, first) >= min(high, last):
+        raise InputError(f"{path}: --from/--to: the log spans {first:.1f} to {last:.1f} s")
+    result = judge.result(reference or "truth", low=low, high=high, band_s=band_s)
+    for name, values in told.items():
+        result["estimators"][name] |= values
+    return {"log": str(path), **result}
 
 
 @dataclass(frozen=True)
-class _History:
+class History:
+    """An attitude over time."""
+
     t: np.ndarray  # (n,) s, rising
     q_nb: np.ndarray  # (n, 4)
 
 
-def _reference(log: FlightReader, name: str | None) -> "tuple[_Truth | None, _History]":
-    """The truth when there is one, and what to compare with."""
-    if name is None and TRUTH_TOPIC not in log.topics and REFERENCE.topic in log.topics:
-        name = REFERENCE.topic
+def listen(log: FlightReader, judge: Judge, names: Iterable[str], *, honesty: bool = False) -> None:
+    """Give a judge what a log holds, in one pass."""
+    topics = {f"/est/{name}{STATE.topic}": name for name in names}
+    needed = [TRUTH_TOPIC, STATE_TOPIC, AIR_TOPIC] if TRUTH_TOPIC in log.topics else []
+    if missing := [topic for topic in needed if topic not in log.topics]:
+        raise InputError(f"{log.path}: no {missing[0]} in it: there is nothing to compare with")
+    for block in log.blocks([*needed, *topics]):
+        if needed:
+            imu, state, air = (block[topic] for topic in needed)
+            rows = min(map(len, (imu, state, air)))  # a recovered log may end between two topics
+            judge.truth(
+                _seconds(log, imu[:rows]),
+                quaternion(imu["orientation"][:rows]),
+                np.linalg.norm(vector(state["velocity"][:rows]), axis=1),
+                air["on_ground"][:rows],
+            )
+        for topic, name in topics.items():
+            judge.estimates(name, _said(log, block[topic], honesty))
+
+
+def _said(log: FlightReader, messages: np.ndarray, honesty: bool) -> Estimates:
+    """What a judge asks of an estimator; the rest is NaN."""
+    n = len(messages)
+    columns = {
+        f.name: np.broadcast_to(np.array(0 if f.metadata["dtype"] is not float else np.nan), (n, *f.metadata["shape"]))
+        for f in fields(Estimates)
+    }
+    columns |= {
+        "t": _seconds(log, messages),
+        "q_nb": quaternion(messages["orientation"]),
+        "down_b": vector(messages["down"]),
+    }
+    if honesty:
+        columns["att_cov"] = messages["attitude_covariance"].reshape(-1, 3, 3)
+        columns |= {"innovation": messages["innovation"], "innovation_var": messages["innovation_variance"]}
+    return Estimates(**columns)
+
+
+def attitudes(log: FlightReader, name: str | None) -> History:
+    """The attitude of the truth (None), of an estimator, or of any topic with orientations.
+
+    Raises:
+        InputError: no such thing in the log.
+    """
     if name is None:
-        truth = _truth(log)
-        return truth, truth
-    if name in log.estimators:
-        topic = f"/est/{name}/state"
+        topic = TRUTH_TOPIC
+        if topic not in log.topics:
+            raise InputError(f"{log.path}: no {topic} in it: there is nothing to compare with")
+    elif name in log.estimators:
+        topic = f"/est/{name}{STATE.topic}"
     elif name in log.topics:
         topic = name
     else:
@@ -130,10 +262,10 @@ def _reference(log: FlightReader, name: str | None) -> "tuple[_Truth | None, _Hi
         raise InputError(
             f"{log.path}: --reference {name}: no such estimator or topic in this log{nearest(name, known)}"
         )
-    return _truth(log) if TRUTH_TOPIC in log.topics else None, orientations(log, topic)
+    return orientations(log, topic)
 
 
-def orientations(log: FlightReader, topic: str) -> _History:
+def orientations(log: FlightReader, topic: str) -> History:
     """`q_nb` over time of any topic with orientations, in the order of its stamps.
 
     Raises:
@@ -152,12 +284,12 @@ def orientations(log: FlightReader, topic: str) -> _History:
     if len(t) < 2:
         raise InputError(f"{log.path}: {topic} has no attitude to compare with")
     t, first = np.unique(t, return_index=True)
-    return _History(t, q_nb[first])
+    return History(t, q_nb[first])
 
 
 def _adjusted(
-    log: FlightReader, name: str, against: _History, low: float, high: float, align: str | None, sync: bool
-) -> tuple[_History, dict[str, Any]]:
+    log: FlightReader, name: str, against: History, low: float, high: float, align: str | None, sync: bool
+) -> tuple[History, dict[str, Any]]:
     """The reference without a constant delay and rotation against an estimator, and what these were."""
     if align is None and not sync:
         return against, {}
@@ -185,12 +317,7 @@ def _adjusted(
             left, right = syncing.constant_rotations(q_nb, q_here)
         q_ref = frames.product(frames.product(left[None], q_ref), right[None])
         told["aligned_deg"] = [math.degrees(2 * math.acos(min(1.0, abs(float(q[0]))))) for q in (left, right)]
-    return _History(times, q_ref), told
-
-
-@dataclass(frozen=True)
-class _Truth(_History):
-    phase: np.ndarray  # (n,) index into PHASES
+    return History(times, q_ref), told
 
 
 def _seconds(log: FlightReader, messages: np.ndarray) -> np.ndarray:
@@ -198,35 +325,27 @@ def _seconds(log: FlightReader, messages: np.ndarray) -> np.ndarray:
     return log.seconds(stamps(messages))
 
 
+def _whole_ns(t: np.ndarray) -> np.ndarray:
+    """Times (s) as a log keeps them, so that a flight and its log give the same figures."""
+    whole: np.ndarray = np.rint(t * 1e9) / 1e9
+    return whole
+
+
 def _row(t: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Row of `t` (rising) that is next to each of `at`, at or after it."""
     return np.clip(np.searchsorted(t, at - 1e-6), 0, len(t) - 1)
 
 
-def _truth(log: FlightReader) -> _Truth:
-    """Attitude and phase of the flight."""
-    needed = [TRUTH_TOPIC, STATE_TOPIC, AIR_TOPIC]
-    if missing := [topic for topic in needed if topic not in log.topics]:
-        raise InputError(f"{log.path}: no {missing[0]} in it: there is nothing to compare with")
-    parts = [
-        (
-            _seconds(log, block[TRUTH_TOPIC]),
-            quaternion(block[TRUTH_TOPIC]["pose"]["pose"]["orientation"]),
-            np.linalg.norm(vector(block[STATE_TOPIC]["velocity"]), axis=1),
-            block[AIR_TOPIC]["on_ground"].copy(),  # a view would keep the whole block
-        )
-        for block in log.blocks(needed)
-    ]
-    t, q_nb, speed, on_ground = (np.concatenate(column) for column in zip(*parts, strict=True))
-    rows = min(map(len, (t, q_nb, speed, on_ground)))  # a recovered log may end between two topics
-    if rows < 2:
-        raise InputError(f"{log.path}: {TRUTH_TOPIC} is empty: there is nothing to compare with")
-    t, q_nb = t[:rows], q_nb[:rows]
-    return _Truth(t, q_nb, phases(t, q_nb, speed[:rows], on_ground[:rows]))
+def _coarse(t: np.ndarray, cell: float = -math.inf) -> tuple[np.ndarray, float]:
+    """Rows of `t`, the first of each 1 / PHASE_RATE after `cell`, and the last such cell."""
+    cells = np.floor(t * PHASE_RATE + 1e-6)
+    return np.flatnonzero(np.diff(cells, prepend=cell)), float(cells[-1])
 
 
 def phases(t: np.ndarray, q_nb: np.ndarray, speed: np.ndarray, on_ground: np.ndarray) -> np.ndarray:
-    """Index into PHASES (n,)."""
+    """Index into PHASES (n,), told at `PHASE_RATE`."""
+    every, (rows, _) = t, _coarse(t)
+    t, q_nb, speed, on_ground = t[rows], q_nb[rows], speed[rows], on_ground[rows]
     half = max(1, round(1.0 / float(np.median(np.diff(t)))))
     later, earlier = np.minimum(np.arange(len(t)) + half, len(t) - 1), np.maximum(np.arange(len(t)) - half, 0)
 
@@ -241,7 +360,8 @@ def phases(t: np.ndarray, q_nb: np.ndarray, speed: np.ndarray, on_ground: np.nda
     phase = np.where(standing, PHASES.index("ground"), PHASES.index("straight"))
     phase[t - last < SETTLING] = PHASES.index("transient")
     phase[turning] = PHASES.index("turning")
-    return phase
+    shown: np.ndarray = phase[_row(t, every)]
+    return shown
 
 
 def attitude(log: FlightReader, topic: str) -> tuple[np.ndarray, np.ndarray]:
@@ -254,30 +374,12 @@ def attitude(log: FlightReader, topic: str) -> tuple[np.ndarray, np.ndarray]:
     return t[known], q_nb[known]
 
 
-def _errors(
-    log: FlightReader, against: dict[str, _History], with_honesty: bool
-) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Times (n,), errors (n, 5) and honesty (n, 3) of each estimator against its reference."""
-    topics = {f"/est/{name}/state": name for name in against}
-    parts: dict[str, list[tuple[np.ndarray, ...]]] = {name: [] for name in against}
-    for block in log.blocks(list(topics)):
-        for topic, messages in block.items():
-            at = _seconds(log, messages)
-            history = against[topics[topic]]
-            reference = metrics.interpolate(history.t, history.q_nb, at)
-            estimate = quaternion(messages["orientation"])
-            errors = metrics.attitude_errors(estimate, vector(messages["down"]), reference).astype(np.float32)
-            honesty = _honesty(messages, estimate, reference) if with_honesty else np.empty((len(at), 0))
-            parts[topics[topic]].append((at, errors, honesty))
-    return {name: tuple(np.concatenate(c) for c in zip(*p, strict=True)) for name, p in parts.items()}  # type: ignore[misc]
-
-
-def _honesty(messages: np.ndarray, q_nb: np.ndarray, reference: np.ndarray) -> np.ndarray:
+def _honesty(block: Estimates, reference: np.ndarray) -> np.ndarray:
     """(n, 3) float32: NEES of the attitude per degree of freedom; NIS and its degrees of freedom."""
     from ahrs_sim.review import consistency  # scipy: not for every comparison
 
-    nees = consistency.attitude_nees(q_nb, messages["attitude_covariance"].reshape(-1, 3, 3).astype(float), reference)
-    nis = consistency.nis(messages["innovation"].astype(float), messages["innovation_variance"].astype(float))
+    nees = consistency.attitude_nees(block.q_nb, block.att_cov.astype(float), reference)
+    nis = consistency.nis(block.innovation.astype(float), block.innovation_var.astype(float))
     return np.column_stack([nees / 3.0, *nis]).astype(np.float32)
 
 

@@ -203,7 +203,7 @@ def gather(
 def _columns(log: FlightReader) -> dict[str, dict[str, np.ndarray]]:
     """By topic and name what is needed of the truth and of the suites: one pass, for uncompressing is what costs."""
     wanted: dict[str, Callable[[np.ndarray], dict[str, np.ndarray]]] = {
-        compare.TRUTH_TOPIC: lambda m: {"q_nb": quaternion(m["pose"]["pose"]["orientation"])},
+        compare.TRUTH_TOPIC: lambda m: {"q_nb": quaternion(m["orientation"])},
         compare.STATE_TOPIC: lambda m: {"lla": m["lla"], "speed": np.linalg.norm(vector(m["velocity"]), axis=1)},
         compare.AIR_TOPIC: lambda m: {"airspeed": m["airspeed"], "on_ground": m["on_ground"]},
     }
