@@ -101,11 +101,14 @@ def _ins(aiding: str, states: str = "21", accel_noise: float = 0.05) -> dict[str
         "accel_noise": Setting(
             accel_noise, "m/s2/sqrt(Hz), beside the data sheet's: vibration, turbulence", minimum=0.0
         ),
+        "accel_share": Setting(0.014, "1/sqrt(Hz), besides, of the acceleration: scale, lever arm", minimum=0.0),
+        "jerk_share": Setting(2.0, "of the gyro's variance between samples, left as noise of one step", minimum=0.0),
         "bias_time": Setting(300.0, "s, correlation of the in-run biases", above=0.0),
         "velocity_share": Setting(1.5, "of the receiver's velocity sigma", above=0.0),
         "position_share": Setting(3.0, "of the receiver's position sigma, whose error is correlated", above=0.0),
         "heading_share": Setting(5.0, "of the dual-antenna sigma, whose error is correlated", above=0.0),
-        "mag_sigma": Setting(0.15, "field direction, rad, over the horizontal share of the field", above=0.0),
+        "mag_share": Setting(6.0, "of the hard iron left over: noise of the field's direction", minimum=0.0),
+        "mag_sigma": Setting(0.02, "rad, besides, of the direction of the field", above=0.0),
         "norm_scale": Setting(0.05, "relative error of the field's norm that doubles the noise", above=0.0),
         "dip_scale": Setting(0.1, "rad, error of the dip that doubles the noise", above=0.0),
         "speed_sigma": Setting(1.0, "m/s, of the airspeed along the body", above=0.0),

@@ -146,12 +146,12 @@ class SensorInfo:
     gyro_noise: float = 5e-4  # rad/s/sqrt(Hz), single-sided density: sigma = density sqrt(rate / 2)
     gyro_bias: float = 5e-3  # rad/s, turn-on
     gyro_instability: float = 5e-4  # rad/s, in run
-    gyro_scale: float = 5e-3  # scale factor and misalignment
+    gyro_scale: float = 1.5e-3  # scale factor and misalignment
     accel_noise: float = 2e-3  # m/s2/sqrt(Hz)
     accel_bias: float = 5e-2  # m/s2
     accel_scale: float = 5e-3
     mag_noise: float = 5e-7  # T, one sample
-    mag_bias: float = 5e-7  # T, hard iron left over
+    mag_bias: float = 1e-6  # T, hard iron left over
     gyro_delay: float = 0.0  # s: the value at stamp t was true at t - delay
     accel_delay: float = 0.0
     mag_delay: float = 0.0

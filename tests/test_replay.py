@@ -177,7 +177,7 @@ def figures(path: Path, *arguments: str) -> dict[str, Any]:
 
 @real
 @pytest.mark.long
-@pytest.mark.parametrize(("method", "limits"), [("ins21", (0.6, 0.5, 1.7)), ("air-ins", (1.6, 1.3, 5.0))])
+@pytest.mark.parametrize(("method", "limits"), [("ins21", (0.6, 0.5, 1.6)), ("air-ins", (1.3, 1.1, 5.0))])
 def test_thor(method: str, limits: tuple[float, float, float]) -> None:
     if method not in estimators.names():
         pytest.skip(f"no {method}")
@@ -191,7 +191,7 @@ def test_thor(method: str, limits: tuple[float, float, float]) -> None:
 
 @real
 @pytest.mark.long
-@pytest.mark.parametrize(("trial", "limit"), [("01", 1.5), ("21", 9.0), ("28", 7.0)])
+@pytest.mark.parametrize(("trial", "limit"), [("01", 1.5), ("21", 2.8), ("28", 3.0)])
 def test_broad(trial: str, limit: float) -> None:
     if "hand-ins" not in estimators.names():
         pytest.skip("no hand-ins")

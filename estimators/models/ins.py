@@ -19,7 +19,10 @@ Aids (`models.base` groups):
     heading    dual-antenna baseline, also with latency
     airspeed   C_bn (v - wind) = (V, 0, 0), wide across; without GNSS v itself is the velocity in the air mass
 
-Gyro noise grows with the rate: what scale and misalignment leave behind is correlated over a manoeuvre.
+Gyro noise grows with the rate, since what scale and misalignment leave behind is correlated over a manoeuvre, and with
+what is too fast for the sampling: after a hard landing the heading is open again. Accelerometer noise grows with the
+acceleration. The magnetometer counts ten times a second, whatever its rate: its errors are of the place, not of the
+reading.
 """
 
 import math
@@ -81,8 +84,9 @@ GRAVITY_GRADIENT = 3.086e-6  # 1/s2, of gravity with height
 GNSS, STILL, MAGNETIC, DUAL, AIR = range(5)
 _Z_GNSS, _Z_MAG, _Z_DUAL, _Z_AIR, _Z_STILL, MEASUREMENTS_ = 0, 6, 7, 8, 11, 17
 
-# inputs: mean rate and force of the step, field, gyro noise (variance per second), variance of each measurement
-_W, _F, _B, _PSD, _VAR = 0, 3, 6, 9, 10
+# inputs: mean rate and force of the step, field, noise of gyro and accelerometer (variance per second), variance of
+# each measurement
+_W, _F, _B, _PSD, _FORCE_PSD, _VAR = 0, 3, 6, 9, 10, 11
 INPUTS = _VAR + MEASUREMENTS_
 
 # memory: scalars, then the moments of the present second, then a ring of past states
@@ -101,14 +105,17 @@ INPUTS = _VAR + MEASUREMENTS_
     _INFLATION,
     _HEAD,
     _SPEED,
-) = range(14)
-_LAST_W, _LAST_F, _MEAN, _SPREAD = 14, 17, 20, 26
-_RING, _SLOTS, _WIDTH = 32, 256, 8  # t, velocity and place of the antenna, yaw
+    _JERKY,
+) = range(15)
+_LAST_W, _LAST_F, _STEP, _MEAN, _SPREAD = 15, 18, 21, 24, 30
+_RING, _SLOTS, _WIDTH = 36, 256, 8  # t, velocity and place of the antenna, yaw
 MEMORY = _RING + _SLOTS * _WIDTH
 
 MAG_TIMEOUT, AID_TIMEOUT = 1.0, 2.0  # s
 STILL_SPEED = 0.2  # m/s
-AIR_PERIOD, PSEUDO_PERIOD, STILL_PERIOD = 0.1, 0.1, 0.1  # s: their errors are correlated, more often says nothing new
+JERKY_TIME = 0.3  # s, over which the gyro's scatter between samples is averaged
+# s: errors of these are correlated, more often says nothing new
+AIR_PERIOD, FIELD_PERIOD, PSEUDO_PERIOD, STILL_PERIOD = 0.1, 0.1, 0.1, 0.1
 _RUNNING, _COASTING = int(Status.RUNNING), int(Status.COASTING)
 
 
@@ -123,6 +130,8 @@ class _Parameters(NamedTuple):
     gyro_psd: float  # rad2/s
     rate_noise: float  # 2 tau k^2, s: gyro_psd + rate_noise |w|^2
     accel_psd: float  # m2/s3
+    accel_noise2: float  # s, accel_psd + accel_noise2 |a|^2
+    jerk_share: float  # gyro_psd + jerk_share dt (variance between samples)
     walks: np.ndarray  # (size - 6,) variance per second of the constants; of the velocity for wind in it
     limits: np.ndarray  # (2,) rad/s, m/s2: scatter of a still second
     gyro_variance: float  # (rad/s)^2 of a sample
@@ -244,7 +253,7 @@ def _transition(model: Any, x: np.ndarray, u: np.ndarray, dt: float, F: np.ndarr
 def _process_noise(model: Any, x: np.ndarray, u: np.ndarray, dt: float, P: np.ndarray) -> None:
     for i in range(3):
         P[PHI + i, PHI + i] += u[_PSD] * dt
-        P[V + i, V + i] += model.accel_psd * dt
+        P[V + i, V + i] += u[_FORCE_PSD] * dt
         P[P_ + i, P_ + i] += 1e-6 * dt
     for i in range(9, size(model)):
         P[i, i] += model.walks[i - 9] * dt
@@ -376,6 +385,9 @@ def _load(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.
         good &= plausible(row[GYRO + i], MAX_RATE) and plausible(row[ACCEL + i], MAX_FORCE)
     memory[_GOOD] = 1.0 if good else 0.0
     fresh = math.isfinite(memory[_LAST]) and t - memory[_LAST] < 0.1
+    dt = t - memory[_LAST] if fresh else 0.0
+    if good:
+        _judge_jerks(row, memory, dt)
     for i in range(3):  # the samples at both ends of the step; the last good ones while there are none
         if good:
             u[_W + i] = 0.5 * (row[GYRO + i] + memory[_LAST_W + i]) if fresh else row[GYRO + i]
@@ -386,11 +398,26 @@ def _load(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.
     rate2 = 0.0
     for i in range(3):
         rate2 += (u[_W + i] - x[10 + i]) ** 2
-    u[_PSD] = model.gyro_psd + model.rate_noise * rate2
+    u[_PSD] = model.gyro_psd + model.rate_noise * rate2 + model.jerk_share * dt * memory[_JERKY]
+    force = np.empty(3)
+    to_nav(x, u[_F] - x[13], u[_F + 1] - x[14], u[_F + 2] - x[15], force)
+    acceleration2 = force[0] ** 2 + force[1] ** 2 + (force[2] + model.gravity) ** 2
+    u[_FORCE_PSD] = model.accel_psd + model.accel_noise2 * acceleration2
     if not good:
         u[_PSD] += 0.01  # 0.1 rad/s/sqrt(Hz): whatever happens meanwhile
     if good:
         _judge_second(model, row, x, memory)
+
+
+@inner
+def _judge_jerks(row: np.ndarray, memory: np.ndarray, dt: float) -> None:
+    """Variance of what turns too fast for the sampling (an impact, vibration): a sixth of the second differences'."""
+    square = 0.0
+    for i in range(3):
+        step = row[GYRO + i] - memory[_LAST_W + i] if dt > 0.0 else 0.0
+        square += (step - memory[_STEP + i]) ** 2
+        memory[_STEP + i] = step
+    memory[_JERKY] += min(dt / JERKY_TIME, 1.0) * (square / 18.0 - memory[_JERKY])
 
 
 @inner
@@ -489,7 +516,7 @@ def _measure(
         sigma = model.heading_factor * row[HEADING_SIGMA]
         u[_VAR + _Z_DUAL] = sigma * sigma
         used[_Z_DUAL] = sigma > 0.0
-    if row[MAG_NEW] != 0.0:
+    if row[MAG_NEW] != 0.0 and not t - memory[_MAG_T] < FIELD_PERIOD - 1e-6:
         _measure_field(model, row, x, memory, u, z, used)
     flying = False
     if row[AIR_NEW] != 0.0 and plausible(row[AIRSPEED], MAX_SPEED):
@@ -707,6 +734,8 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
         gyro_psd=gyro + settings["gyro_noise"] ** 2 / 2.0,
         rate_noise=2.0 * settings["scale_time"] * (settings["scale_share"] * sensors.gyro_scale) ** 2,
         accel_psd=accel + settings["accel_noise"] ** 2 / 2.0 + wind_in_velocity,
+        accel_noise2=settings["accel_share"] ** 2 / 2.0,
+        jerk_share=settings["jerk_share"],
         walks=walks,
         limits=np.array(
             [max(GYRO_SCATTER, 2 * sensors.gyro_noise * math.sqrt(sensors.rate / 2)),
@@ -715,7 +744,7 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
         gyro_variance=max(gyro * sensors.rate, 1e-10),
         gnss_velocity=max(settings["velocity_share"] * sensors.gnss_vel, 1e-3),
         gnss_position=max(settings["position_share"] * sensors.gnss_pos, 1e-3),
-        mag_sigma=settings["mag_sigma"],
+        mag_sigma=math.hypot(settings["mag_sigma"], settings["mag_share"] * sensors.mag_bias / math.hypot(*site.mag_n)),
         norm_scale=settings["norm_scale"],
         dip_scale=settings["dip_scale"],
         heading_factor=settings["heading_share"],
@@ -728,7 +757,8 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
         pseudo=int(aid == "none"),
     )  # fmt: skip
     memory = np.full(MEMORY, np.nan)
-    memory[[_IS_STILL, _COUNT, _HEAD]], memory[_GOOD] = 0.0, 1.0
+    memory[[_IS_STILL, _COUNT, _HEAD, _JERKY]], memory[_GOOD] = 0.0, 1.0
+    memory[_STEP : _STEP + 3] = 0.0
     restart = np.array(initial)
     restart[PHI : PHI + 3], restart[V : V + 3] = 0.5, 10.0
     P, P_restart = np.diag(initial**2), np.diag(restart**2)

@@ -13,7 +13,7 @@ from estimators.models import ins
 from estimators.models.base import difference, observe, propagate, residual, retract, size, slope, transition
 from estimators.settings import checked
 
-SENSORS = SensorInfo(gyro_noise=3.7e-3 / 50**0.5, accel_noise=0.02 / 50**0.5, gyro_scale=1e-3)
+SENSORS = SensorInfo(gyro_noise=3.7e-3 / 50**0.5, accel_noise=0.02 / 50**0.5, gyro_scale=1e-3, mag_bias=5e-7)
 
 
 def model_of(name, **settings):
@@ -238,3 +238,23 @@ def test_missing_samples_coast_and_recover():
     assert (estimates.status[5000:5020] == Status.COASTING).all()
     assert np.isfinite(estimates.q_nb[1100:]).all()
     assert rms(error_deg(estimates.q_nb[-500:], truth[-500:])[1]) < 1.0
+
+
+def test_an_impact_too_fast_for_the_sampling_opens_the_heading():
+    samples, _ = still(40.0)
+    gyro_b = samples.gyro_b.copy()
+    hit = np.searchsorted(samples.t, 30.0)
+    gyro_b[hit : hit + 10, 0] += 5.0 * (-1.0) ** np.arange(10)
+    estimator = create("ins21", site=SITE, sensors=SENSORS, align_s=5.0)
+    variance = estimator.process(dataclasses.replace(samples, gyro_b=gyro_b)).att_cov[:, 2, 2]
+    assert variance[hit + 10] > 10 * variance[hit - 1]
+
+
+def test_a_faster_magnetometer_does_not_count_for_more():
+    samples, _ = still(40.0)
+    slow = samples.mag_new & (np.arange(len(samples.t)) % 10 == 0)
+    sigmas = []
+    for mag_new in (slow, np.ones(len(slow), bool)):
+        estimator = create("ins21", site=SITE, sensors=SENSORS, align_s=5.0)
+        sigmas.append(estimator.process(dataclasses.replace(samples, mag_new=mag_new)).att_cov[-1, 2, 2] ** 0.5)
+    assert sigmas[1] == pytest.approx(sigmas[0], rel=0.05)
