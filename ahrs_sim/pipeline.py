@@ -165,8 +165,7 @@ class _Recorder:
                 getattr(self.log, kind)(*key, block)
             if self.judge and kind == "truth":
                 rows = self.judged.rows(len(block))
-                speed = np.linalg.norm(block.vel_n[rows], axis=1)
-                self.judge.truth(block.t[rows], block.q_nb[rows], speed, block.on_ground[rows])
+                self.judge.truth(block.t[rows], block.q_nb[rows], block.vel_n[rows], block.on_ground[rows])
             elif self.judge and kind == "estimates":
                 self.judge.estimates(key[0], block)
         self.waiting.clear()

@@ -64,6 +64,7 @@ class Wind:
     speed: float  # m/s
     from_: float  # rad, true bearing it comes from
     turbulence: str  # a key of TURBULENCE
+    at_20ft: float  # m/s, wind at 20 ft (6 m) above ground that sets the turbulence's intensity
     gusts: tuple[Gust, ...]
 
 
@@ -273,7 +274,9 @@ def _wind(table: Table) -> Wind:
             )
         )
         gust.close()
-    wind = Wind(speed, from_, table.choice("turbulence", list(TURBULENCE), "none"), tuple(gusts))
+    turbulence = table.choice("turbulence", list(TURBULENCE), "none")
+    at_20ft = table.number("at_20ft_mps", TURBULENCE[turbulence], minimum=0.0, maximum=60.0)
+    wind = Wind(speed, from_, turbulence, at_20ft, tuple(gusts))
     table.close()
     return wind
 

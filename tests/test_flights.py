@@ -112,7 +112,8 @@ def test_circuit_on_the_ground_and_straight_below_one_degree(circuit: Path) -> N
             assert values[key] <= values[key.replace("rmse", "max")]
         phases = values["phases"]
         assert phases["ground"]["tilt_rmse_deg"] < 1.0, name
-        assert phases["straight"]["tilt_rmse_deg"] < 3.0, name
+        # Gusts move the apparent vertical by a degree, and the low-cost unit's filters follow it soonest.
+        assert phases["straight"]["tilt_rmse_deg"] < (1.0 if name == "ekf-sbg" else 2.0), name
         assert phases["turning"]["tilt_rmse_deg"] > 5.0, "without aiding a turn reads as level flight"
 
 

@@ -22,7 +22,7 @@ from ahrs_sim.flight.fdm import Fdm
 from ahrs_sim.flight.manoeuvres import parse_steps
 from ahrs_sim.flight.pilot import Pilot
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
-from ahrs_sim.scenario import TURBULENCE, Gust, Scenario
+from ahrs_sim.scenario import Gust, Scenario
 from ahrs_sim.world import wgs84
 
 FT = 0.3048  # m
@@ -233,8 +233,7 @@ class JsbsimFlight:
             fdm["atmosphere/wind-east-fps"] = -wind.speed * math.sin(wind.from_) / FT
         if wind.turbulence != "none":
             fdm["atmosphere/turb-type"] = 3  # MIL-F-8785C
-            speed = TURBULENCE[wind.turbulence] / FT
-            fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = speed
+            fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = wind.at_20ft / FT
             fdm["atmosphere/turbulence/milspec/severity"] = SEVERITY[wind.turbulence]
 
     def _settles(self, scenario: Scenario) -> bool:

@@ -26,8 +26,11 @@ TURN_RATE = math.radians(3.0)
 ACCELERATION = 1.0
 """m/s2 along the path (mean over 2 s) from which on flight is not steady: take-off, flare, roll-out."""
 
+CLIMB = 1.5
+"""m/s of climb or sink (mean over 2 s) from which on flight is not level."""
+
 SETTLING = 20.0
-"""s after a turn or an acceleration that count as transient: what an estimator learnt wrong in it dies away."""
+"""s after a turn, a climb or an acceleration that are transient: what an estimator learnt wrong in it dies away."""
 
 PHASE_RATE = 20.0
 """Hz at which the truth is looked at to tell the phase."""
@@ -39,7 +42,7 @@ STANDING = 0.5
 """m/s below which an aircraft on its wheels stands."""
 
 PHASES = ("ground", "straight", "turning", "transient")
-"""Standing on the ground; steady straight flight; turning in the air; everything else, settling included."""
+"""Standing on the ground; steady, straight and level; turning in the air; everything else, settling included."""
 
 
 class Judge:
@@ -65,8 +68,8 @@ class Judge:
         self._coarse: list[tuple[np.ndarray, ...]] = []  # truth for the phases
         self._cell = -math.inf
 
-    def truth(self, t: np.ndarray, q_nb: np.ndarray, speed: np.ndarray, on_ground: np.ndarray) -> None:
-        """More of the truth: s, (n, 4), m/s relative to the Earth, weight on the wheels; (n,) each, t rising."""
+    def truth(self, t: np.ndarray, q_nb: np.ndarray, vel_n: np.ndarray, on_ground: np.ndarray) -> None:
+        """More of the truth: s, (n, 4), (n, 3) m/s NED, weight on the wheels; t rising."""
         if not len(t):
             return
         t = _whole_ns(t)
@@ -74,7 +77,7 @@ class Judge:
         kept = old.t > old.t[-1] - LATE_S if len(old.t) else slice(0)
         self._recent = History(np.concatenate([old.t[kept], t]), np.concatenate([old.q_nb[kept], q_nb]))
         rows, self._cell = _coarse(t, self._cell)
-        self._coarse.append((t[rows], q_nb[rows], speed[rows], on_ground[rows]))
+        self._coarse.append((t[rows], q_nb[rows], vel_n[rows], on_ground[rows]))
         waiting, self._waiting = self._waiting, []
         for name, estimates in waiting:
             self.estimates(name, estimates)
@@ -113,8 +116,8 @@ class Judge:
         first, last = self.span()
         t_phase, phase = np.empty(0), np.empty(0, int)
         if sum(len(part[0]) for part in self._coarse) >= 2:
-            t_phase, q_nb, speed, on_ground = (np.concatenate(c) for c in zip(*self._coarse, strict=True))
-            phase = phases(t_phase, q_nb, speed, on_ground)
+            t_phase, q_nb, vel_n, on_ground = (np.concatenate(c) for c in zip(*self._coarse, strict=True))
+            phase = phases(t_phase, q_nb, vel_n, on_ground)
         found = {}
         for name, parts in self._parts.items():
             if parts:
@@ -218,7 +221,7 @@ def listen(log: FlightReader, judge: Judge, names: Iterable[str], *, honesty: bo
             judge.truth(
                 _seconds(log, imu[:rows]),
                 quaternion(imu["orientation"][:rows]),
-                np.linalg.norm(vector(state["velocity"][:rows]), axis=1),
+                vector(state["velocity"][:rows]),
                 air["on_ground"][:rows],
             )
         for topic, name in topics.items():
@@ -342,10 +345,10 @@ def _coarse(t: np.ndarray, cell: float = -math.inf) -> tuple[np.ndarray, float]:
     return np.flatnonzero(np.diff(cells, prepend=cell)), float(cells[-1])
 
 
-def phases(t: np.ndarray, q_nb: np.ndarray, speed: np.ndarray, on_ground: np.ndarray) -> np.ndarray:
+def phases(t: np.ndarray, q_nb: np.ndarray, vel_n: np.ndarray, on_ground: np.ndarray) -> np.ndarray:
     """Index into PHASES (n,), told at `PHASE_RATE`."""
     every, (rows, _) = t, _coarse(t)
-    t, q_nb, speed, on_ground = t[rows], q_nb[rows], speed[rows], on_ground[rows]
+    t, q_nb, vel_n, on_ground = t[rows], q_nb[rows], vel_n[rows], on_ground[rows]
     half = max(1, round(1.0 / float(np.median(np.diff(t)))))
     later, earlier = np.minimum(np.arange(len(t)) + half, len(t) - 1), np.maximum(np.arange(len(t)) - half, 0)
 
@@ -353,9 +356,10 @@ def phases(t: np.ndarray, q_nb: np.ndarray, speed: np.ndarray, on_ground: np.nda
         change: np.ndarray = np.abs(x[later] - x[earlier]) / np.maximum(t[later] - t[earlier], 1e-9)
         return change
 
+    speed, climbed = np.linalg.norm(vel_n, axis=1), np.cumsum(vel_n[:, 2] * np.gradient(t))
     standing = on_ground & (speed < STANDING)
     turning = ~on_ground & (slope(np.unwrap(metrics.euler(q_nb)[:, 2])) > TURN_RATE)
-    unsteady = turning | (~standing & (on_ground | (slope(speed) > ACCELERATION)))
+    unsteady = turning | (~standing & (on_ground | (slope(speed) > ACCELERATION) | (slope(climbed) > CLIMB)))
     last = np.maximum.accumulate(np.where(unsteady, t, -np.inf))
     phase = np.where(standing, PHASES.index("ground"), PHASES.index("straight"))
     phase[t - last < SETTLING] = PHASES.index("transient")

@@ -204,7 +204,7 @@ def _columns(log: FlightReader) -> dict[str, dict[str, np.ndarray]]:
     """By topic and name what is needed of the truth and of the suites: one pass, for uncompressing is what costs."""
     wanted: dict[str, Callable[[np.ndarray], dict[str, np.ndarray]]] = {
         compare.TRUTH_TOPIC: lambda m: {"q_nb": quaternion(m["orientation"])},
-        compare.STATE_TOPIC: lambda m: {"lla": m["lla"], "speed": np.linalg.norm(vector(m["velocity"]), axis=1)},
+        compare.STATE_TOPIC: lambda m: {"lla": m["lla"], "vel_n": vector(m["velocity"])},
         compare.AIR_TOPIC: lambda m: {"airspeed": m["airspeed"], "on_ground": m["on_ground"]},
     }
     if missing := [topic for topic in wanted if topic not in log.topics]:
@@ -237,7 +237,7 @@ def _phase(columns: dict[str, dict[str, np.ndarray]]) -> np.ndarray:
     if n < 2:
         return np.empty(0, int)
     odometry, state, air = truth
-    return compare.phases(odometry["t"][:n], odometry["q_nb"][:n], state["speed"][:n], air["on_ground"][:n])
+    return compare.phases(odometry["t"][:n], odometry["q_nb"][:n], state["vel_n"][:n], air["on_ground"][:n])
 
 
 class _Gathering:
