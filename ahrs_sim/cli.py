@@ -122,6 +122,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_check(commands)
     _add_campaign(commands)
 
+    _add_budget(commands)
+
     _add_papers(commands)
 
     listing = commands.add_parser("list", help="what there is")
@@ -175,6 +177,22 @@ def _add_campaign(commands: Any) -> None:
     campaign.add_argument("--json", action="store_true")
     campaign.add_argument("--quiet", action="store_true", help="print nothing but errors")
     campaign.set_defaults(run=_campaign)
+
+
+def _add_budget(commands: Any) -> None:
+    budget = commands.add_parser("budget", help="which error of the sensors costs an estimator how much attitude")
+    budget.add_argument("scenario", help="a TOML file, or the name of a shipped scenario")
+    budget.add_argument("--estimator", required=True, metavar="NAME", help="one of the scenario's, or METHOD@SUITE")
+    budget.add_argument("--suite", metavar="NAME", help="on this suite")
+    budget.add_argument("--seeds", type=_count, default=1, metavar="N", help="flights (default: one)")
+    budget.add_argument("--seed", type=_natural, metavar="N", help="the first seed, instead of the scenario's")
+    budget.add_argument("--duration", type=_positive, metavar="S", help="end every flight after S seconds")
+    budget.add_argument("--from", dest="start", type=float, metavar="T", help="errors from this time, s")
+    budget.add_argument("--to", dest="end", type=float, metavar="T", help="errors up to this time, s")
+    budget.add_argument("--workers", type=_count, metavar="N", help="processes (default: one per processor)")
+    budget.add_argument("--png", type=Path, metavar="FILE", help="draw the table as bars")
+    budget.add_argument("--json", action="store_true")
+    budget.set_defaults(run=_budget)
 
 
 def _add_papers(commands: Any) -> None:
@@ -443,6 +461,28 @@ def _worst(text: str | None, runs: int) -> int:
     if kind != "worst" or not count.isdigit():
         raise InputError(f"--keep-logs {text}: write worst:N or all")
     return int(count)
+
+
+def _budget(arguments: argparse.Namespace) -> None:
+    from ahrs_sim import budget
+    from ahrs_sim import scenario as scenarios
+
+    scenario = scenarios.load(arguments.scenario, seed=arguments.seed, duration=arguments.duration)
+    unit = "s" if arguments.seeds == 1 else "flights"
+    made = budget.make(
+        scenario,
+        arguments.estimator,
+        suite=arguments.suite,
+        seeds=arguments.seeds,
+        start=arguments.start,
+        end=arguments.end,
+        workers=arguments.workers,
+        progress=_Progress(f"budget of {arguments.estimator}", unit=unit, hidden=arguments.json),
+    )
+    _Progress.clear()
+    print(json.dumps(made.as_json(), indent=1) if arguments.json else made.text())
+    if arguments.png:
+        made.plot(arguments.png)
 
 
 def _papers(arguments: argparse.Namespace) -> None:

@@ -72,7 +72,7 @@ def fly(
     rows = max(1, round(block_s * scenario.rate))
     if flight is None:
         flight = open_flight(scenario)
-    site = _site(scenario, flight)
+    site = site_of(scenario, flight)
     chains = _chains(scenario, site, flight)
     if closed_loop:
         rows = _rows_per_sample(scenario, chains)
@@ -176,7 +176,8 @@ class _Recorder:
         self.event_list = []
 
 
-def _site(scenario: Scenario, flight: Flight) -> Site:
+def site_of(scenario: Scenario, flight: Flight) -> Site:
+    """What a navigator knows of the place where a flight begins."""
     latitude, longitude, height = map(float, flight.start_lla)
     return Site(
         lla=(latitude, longitude, height),

@@ -81,6 +81,7 @@ class Suite:
     def __init__(self, fitting: Fitting, has: Sequence[str]) -> None:
         self.name = fitting.suite
         self.grade = fitting.grade
+        self.has = tuple(has)  # of `INSTRUMENTS`
         self._faults = fitting.faults
         imu = Imu(fitting)
         sky = Sky(fitting.figures("gnss", GnssFigures), fitting.epoch, fitting.faults)
