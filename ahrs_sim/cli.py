@@ -87,6 +87,7 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("--sync", action="store_true", help="take out a constant delay first")
     compare.add_argument("--from", dest="start", type=float, metavar="T", help="from this time, s")
     compare.add_argument("--to", dest="end", type=float, metavar="T", help="up to this time, s")
+    compare.add_argument("--lag", action="store_true", help="how late every attitude and its rate are, ms")
     compare.add_argument("--report", type=Path, metavar="HTML", help="one page with all plots, to open in a browser")
     compare.add_argument("--png", type=Path, metavar="DIR", help="the main figures")
     form = compare.add_mutually_exclusive_group()
@@ -328,6 +329,15 @@ def _compare(arguments: argparse.Namespace) -> None:
 
     span = {"reference": arguments.reference, "start": arguments.start, "end": arguments.end}
     results = [compare.compare(log, **span, align=arguments.align, sync=arguments.sync) for log in arguments.log]
+    texts = [compare.table(result) for result in results]
+    if arguments.lag:
+        from ahrs_sim.review import lag
+
+        for i, path in enumerate(arguments.log):
+            late = lag.of_log(path, **span)
+            texts[i] += f"\n\n{lag.table(late)}"
+            for name, values in late.items():
+                results[i]["estimators"][name] |= values
     if arguments.json:
         print(json.dumps(results[0] if len(results) == 1 else results, indent=1))
     elif arguments.csv:
@@ -335,7 +345,7 @@ def _compare(arguments: argparse.Namespace) -> None:
         print("\n".join([first, *(text.partition("\n")[2] for text in rest)]))
     else:
         titles = [f"{log}\n" if len(results) > 1 else "" for log in arguments.log]
-        print("\n\n".join(title + compare.table(result) for title, result in zip(titles, results, strict=True)))
+        print("\n\n".join(title + text for title, text in zip(titles, texts, strict=True)))
     if arguments.report or arguments.png:
         _draw(arguments, span)
 
