@@ -9,6 +9,7 @@ from the velocity.
     kind = "sway"         # sinusoidal roll, pitch, heading on the spot
     kind = "line"         # straight ahead, speeding up and braking
     kind = "road"         # a car: laps of a running track, or a country road
+    kind = "weave"        # an aircraft: level coordinated turns to and fro
 """
 
 # ruff: noqa: D102  (`Motion` documents the methods which every class below defines)
@@ -302,6 +303,51 @@ class Road(Motion):
         return level * cos(heading), level * sin(heading), -(speed * sin(slope))
 
 
+class Weave(Motion):
+    """An aircraft that stands, speeds up and then banks to and fro in level coordinated flight, without wind.
+
+    `still_s` (60) of standing, `speed_mps` (25) reached at 1.5 m/s2 on average, banks of `bank_deg` (30) with a
+    period of `period_s` (60), so that the heading swings about the start's; straight on after `swings` periods
+    (0: for ever). The body points along the velocity: the angle of attack is 0.
+    """
+
+    on_ground = False
+    _EASE = 10.0  # s
+
+    def __init__(self, table: Table, start: Start) -> None:
+        self.still = table.number("still_s", 60.0, minimum=0.0)
+        self.speed = table.number("speed_mps", 25.0, above=0.0, maximum=350.0)
+        bank = math.radians(table.number("bank_deg", 30.0, minimum=0.0, maximum=70.0))
+        self.period = table.number("period_s", 60.0, minimum=2.0 * self._EASE)
+        self.swings = table.integer("swings", 0, minimum=0)
+        self.heading = start.heading
+        self.gravity = float(gravity_n(np.array([[start.latitude, start.longitude, start.altitude]]))[0, 2])
+        self.faster = self.speed / 1.5  # s
+        self.swing = self.gravity * math.tan(bank) / self.speed * self.period / TAU  # rad
+
+    def forward(self, t: Jet) -> Jet:
+        """Speed, m/s."""
+        return smooth_step(t - self.still, self.faster) * self.speed
+
+    def course(self, t: Jet) -> Jet:
+        """Heading, rad."""
+        t = t - (self.still + self.faster)
+        window = smooth_step(t, self._EASE)
+        if self.swings:
+            window = window - smooth_step(t - (self.swings * self.period - self._EASE), self._EASE)
+        return window * (1.0 - cos(t * (TAU / self.period))) * self.swing + self.heading
+
+    def attitude(self, t: Jet) -> tuple[Jet, Jet, Jet]:
+        # the bank's own derivatives need more of the heading's than a jet has: from central differences
+        eps = 1e-3
+        roll = [np.arctan(self.forward(t + dt).x * self.course(t + dt).d / self.gravity) for dt in (-eps, 0.0, eps)]
+        return _differences(roll, eps), jet(0.0), self.course(t)
+
+    def velocity(self, t: Jet) -> tuple[Jet, Jet, Jet]:
+        speed, heading = self.forward(t), self.course(t)
+        return speed * cos(heading), speed * sin(heading), jet(0.0)
+
+
 def _differences(values: list[np.ndarray], eps: float) -> Jet:
     before, now, after = values
     return Jet(now, (after - before) / (2.0 * eps), (after - 2.0 * now + before) / eps**2)
@@ -309,7 +355,7 @@ def _differences(values: list[np.ndarray], eps: float) -> Jet:
 
 _AXES = ("roll", "pitch", "heading")
 _TILT = _AXES[:2]
-MOTIONS = ("constant", "sway", "line", "road")
+MOTIONS = ("constant", "sway", "line", "road", "weave")
 
 
 class MotionFlight:
@@ -330,7 +376,7 @@ class MotionFlight:
         if kind == "road":
             self.motion = Road(table, start, scenario.seed)
         else:
-            self.motion = {"constant": Constant, "sway": Sway, "line": Line}[kind](table, start)
+            self.motion = {"constant": Constant, "sway": Sway, "line": Line, "weave": Weave}[kind](table, start)
         table.close()
         if scenario.pilot_attitude != "truth":
             raise InputError(f"{scenario.where}: [pilot]: attitude: a motion is not flown by anybody; leave it out")

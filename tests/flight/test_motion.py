@@ -18,6 +18,7 @@ MOTIONS = [
     {"kind": "line", "climb_mps": 2.0, "leg": [{"for_s": 10.0, "accel_mps2": 2.0}, {"for_s": 5.0, "accel_mps2": -3.0}]},
     {"kind": "road", "still_s": 5.0},
     {"kind": "road", "still_s": 5.0, "road": "country"},
+    {"kind": "weave", "still_s": 2.0, "speed_mps": 20.0, "period_s": 20.0, "swings": 1},
 ]
 
 
@@ -123,3 +124,15 @@ def test_jets_know_their_derivatives(t):
     ramp = [motion.smooth_ramp(motion.Jet(np.array([t + s]), np.ones(1), np.zeros(1)), 2.0) for s in (-h, 0.0, h)]
     assert ramp[1].d == pytest.approx((ramp[2].x - ramp[0].x) / (2 * h), abs=1e-6)
     assert ramp[1].dd == pytest.approx((ramp[2].d - ramp[0].d) / (2 * h), abs=1e-6)
+
+
+def test_a_weave_is_coordinated_and_ends_straight():
+    table = {"kind": "weave", "still_s": 5.0, "period_s": 40.0, "swings": 2, "bank_deg": 40.0}
+    truth = Flown(make(motion=table, duration_s=120.0, start={"heading_deg": 30.0})).truth
+    begun = 5.0 + 25.0 / 1.5
+    flying, swinging = truth.t > begun, (truth.t > begun + 10.0) & (truth.t < begun + 70.0)
+    assert np.abs(truth.accel_b[flying, 1]).max() < 0.02, "the ball stays in the middle"
+    assert np.abs(truth.accel_b[swinging, 2]).max() == pytest.approx(9.805 / np.cos(np.radians(40.0)), rel=0.01)
+    after = truth.t > begun + 80.0
+    assert np.degrees(np.arctan2(truth.vel_n[after, 1], truth.vel_n[after, 0])) == pytest.approx(30.0, abs=1e-6)
+    assert truth.airspeed[after] == pytest.approx(25.0)
