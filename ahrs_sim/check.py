@@ -189,7 +189,7 @@ def _methods() -> list[str]:
     """Every method of our own catalogue that makes attitudes from a sensor suite."""
     import estimators
 
-    return [method.name for method in estimators.describe()]
+    return [method.name for method in estimators.describe() if method.own]
 
 
 def _every(table: Table, file: Path, estimators: Mapping[str, Any], listed: set[str]) -> list[Flight]:

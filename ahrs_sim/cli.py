@@ -52,6 +52,7 @@ def _parser() -> argparse.ArgumentParser:
         help="only this one, or METHOD@SUITE; may be repeated",
     )
     fly.add_argument("--duration", type=_positive, metavar="S", help="end after S seconds")
+    fly.add_argument("--pilot", metavar="NAME", help="fly on the attitude of this estimator, or on the truth")
     fly.add_argument("--force", action="store_true", help="replace an existing log")
     fly.add_argument("--block", type=_positive, metavar="S", help="seconds a block (the log does not depend on it)")
     fly.add_argument("--json", action="store_true", help="print the accuracy as JSON")
@@ -234,14 +235,19 @@ def _fly(arguments: argparse.Namespace) -> int:
     if arguments.campaign is not None:
         from ahrs_sim.campaign import scenario_of
 
-        if arguments.seed is not None or arguments.duration is not None or arguments.estimator:
-            raise InputError("fly: --from repeats a run as it was; leave --seed, --duration and --estimator out")
+        changed = (arguments.seed, arguments.duration, arguments.pilot)
+        if arguments.estimator or any(value is not None for value in changed):
+            raise InputError("fly: --from repeats a run as it was; leave --seed, --duration, --estimator, --pilot out")
         scenario = scenario_of(arguments.campaign, arguments.number)
     elif arguments.scenario is None:
         raise InputError("fly: no scenario given; see ahrs-sim list scenarios")
     else:
         scenario = scenarios.load(
-            arguments.scenario, seed=arguments.seed, duration=arguments.duration, estimators=arguments.estimator
+            arguments.scenario,
+            seed=arguments.seed,
+            duration=arguments.duration,
+            estimators=arguments.estimator,
+            pilot=arguments.pilot,
         )
     output = arguments.output or Path("logs") / f"{scenario.name}-seed{scenario.seed}.mcap"
     if output.exists() and not arguments.force:
@@ -260,6 +266,9 @@ def _fly(arguments: argparse.Namespace) -> int:
     from ahrs_sim import pipeline
     from ahrs_sim.review import compare
 
+    if not arguments.quiet:
+        for note in scenario.notes:
+            print(f"ahrs-sim: {note}", file=sys.stderr)
     judge = compare.Judge([e.name for e in scenario.estimators])
     stop: list[int] = []
     failure: FlightError | None = None
@@ -521,9 +530,10 @@ def _list(arguments: argparse.Namespace) -> None:
     if arguments.json:
         print(json.dumps(rows, indent=1))
         return
-    for row in rows:
-        name, *rest = (v for v in row.values() if not isinstance(v, dict))
-        print(f"{name:24s}{'  '.join(map(str, rest))}".rstrip())
+    table = [[str(v) for v in row.values() if not isinstance(v, dict)] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    for cells in table:
+        print("  ".join(f"{cell:{width}s}" for cell, width in zip(cells, widths, strict=True)).rstrip())
 
 
 def _scenarios() -> list[dict[str, Any]]:
@@ -552,7 +562,12 @@ def _estimators() -> list[dict[str, Any]]:
     import estimators
 
     return [
-        {"name": m.name, "text": m.text, "source": m.source, "settings": {k: v.default for k, v in m.settings.items()}}
+        {
+            "name": m.name,
+            "source": m.source if m.installed else f"{m.source}; '{m.package}' is not installed",
+            "text": m.text,
+            "settings": {k: v.default for k, v in m.settings.items()},
+        }
         for m in estimators.describe()
     ]
 

@@ -41,7 +41,7 @@ STANDARD_GRAVITY = 9.80665
 _NED = (1.0, 0.0, 0.0, 0.0)
 _ENU = (0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0)  # turns east-north-up vectors into north-east-down
 
-_AIDING: dict[str, Setting] = {
+AIDING: dict[str, Setting] = {
     "aiding": Setting("none", "what is taken off the accelerometer before the peer sees it", ("none", "airspeed")),
     "speed_filter": Setting(0.5, "s, time constant of the derivative of the airspeed", above=0.0),
     "speed_min": Setting(8.0, "m/s, below it the airspeed may be wind on the ground: not used", minimum=0.0),
@@ -84,9 +84,10 @@ class Peer:
 
     NAME: ClassVar[str]
     PACKAGE: ClassVar[str]
+    SOURCE: ClassVar[str]
     EARTH: ClassVar[tuple[float, float, float, float]]  # quaternion from its Earth axes to north-east-down
     MAGNETIC: ClassVar[bool] = True  # its north is magnetic
-    SETTINGS: ClassVar[Mapping[str, Setting]] = {}
+    SETTINGS: ClassVar[Mapping[str, Setting]] = AIDING
 
     def __init__(self, *, site: Site | None = None, sensors: SensorInfo | None = None, **settings: Any) -> None:
         """A peer for a place and a grade of sensors.
@@ -96,7 +97,7 @@ class Peer:
         """
         self.site = site if site is not None else Site((0.0, 0.0, 0.0))
         self.sensors = sensors if sensors is not None else SensorInfo()
-        self.settings = checked(self.NAME, {**_AIDING, **self.SETTINGS}, settings)
+        self.settings = checked(self.NAME, self.SETTINGS, settings)
         try:
             self._package: Any = importlib.import_module(self.PACKAGE)
         except ImportError as error:
@@ -223,8 +224,10 @@ class Peer:
 class Vqf(Peer):
     """VQF (Laidig and Seel 2023): separate tilt and heading corrections, gyro bias, magnetic disturbance rejection."""
 
+    SOURCE = "Laidig and Seel 2023"
     NAME, PACKAGE, EARTH = "vqf", "vqf", _ENU
     SETTINGS: ClassVar[Mapping[str, Setting]] = {
+        **AIDING,
         "tau_acc": Setting(3.0, "s, time constant of the tilt correction", above=0.0),
         "tau_mag": Setting(9.0, "s, time constant of the heading correction", above=0.0),
         "motion_bias": Setting(True, "estimate the gyro bias in motion"),
@@ -264,8 +267,10 @@ class Imufusion(Peer):
     the time-out to 5 s. While the package says that it starts up (3 s) there is no attitude.
     """
 
+    SOURCE = "Madgwick 2014, chapter 7; x-io Technologies"
     NAME, PACKAGE, EARTH = "imufusion", "imufusion", _NED
     SETTINGS: ClassVar[Mapping[str, Setting]] = {
+        **AIDING,
         "gain": Setting(0.5, "rad/s, how fast the gyro is corrected", minimum=0.0),
         "acceleration_rejection": Setting(0.0, "deg, 0: none", minimum=0.0, maximum=90.0),
         "magnetic_rejection": Setting(0.0, "deg, 0: none", minimum=0.0, maximum=90.0),
@@ -357,8 +362,12 @@ class _OfAhrs(Peer):
 class Madgwick(_OfAhrs):
     """Madgwick's gradient descent (2010)."""
 
+    SOURCE = "Madgwick 2010"
     NAME, EARTH, DOWNWARDS = "madgwick", _NED, -1.0
-    SETTINGS: ClassVar[Mapping[str, Setting]] = {"gain": Setting(0.041, "rad/s, of the correction", minimum=0.0)}
+    SETTINGS: ClassVar[Mapping[str, Setting]] = {
+        **AIDING,
+        "gain": Setting(0.041, "rad/s, of the correction", minimum=0.0),
+    }
 
     def make(self) -> Any:
         """The filter object."""
@@ -368,8 +377,10 @@ class Madgwick(_OfAhrs):
 class Mahony(_OfAhrs):
     """Mahony's complementary filter on SO(3) with gyro bias (2008)."""
 
+    SOURCE = "Mahony, Hamel and Pflimlin 2008"
     NAME, EARTH = "mahony", _ENU
     SETTINGS: ClassVar[Mapping[str, Setting]] = {
+        **AIDING,
         "k_p": Setting(1.0, "rad/s, proportional gain", minimum=0.0),
         "k_i": Setting(0.3, "rad/s2, integral gain (the gyro bias)", minimum=0.0),
     }
@@ -386,8 +397,10 @@ class Mahony(_OfAhrs):
 class AhrsEkf(_OfAhrs):
     """The quaternion EKF of `ahrs`, with the local field as reference."""
 
+    SOURCE = "package ahrs"
     NAME, EARTH, DOWNWARDS, MAGNETIC = "ahrs-ekf", _NED, -1.0, False
     SETTINGS: ClassVar[Mapping[str, Setting]] = {
+        **AIDING,
         "gyro_sigma": Setting(0.3, "rad/s", above=0.0),
         "accel_sigma": Setting(0.5, "of the direction of gravity", above=0.0),
         "mag_sigma": Setting(0.8, "of the direction of the field", above=0.0),

@@ -91,6 +91,7 @@ def fly(
             )
             stack.enter_context(log)
         record = _Recorder(log, judge, scenario.rate)
+        record.events([Event(0.0, "warning", "scenario", note) for note in scenario.notes])
         while len(truth := flight.process(rows)):
             t = float(truth.t[-1])
             record.add("truth", truth)

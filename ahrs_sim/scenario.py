@@ -102,6 +102,7 @@ class Scenario:
     suites: tuple[Component, ...]
     estimators: tuple[Component, ...]
     faults: tuple[Component, ...]
+    notes: tuple[str, ...] = ()  # what the user should know
 
     @property
     def epoch_ns(self) -> int:
@@ -136,19 +137,21 @@ def load(
     seed: int | None = None,
     duration: float | None = None,
     estimators: Sequence[str] = (),
+    pilot: str | None = None,
 ) -> Scenario:
     """Read and check a scenario.
 
     Args:
         name: path of a TOML file, or the name of a shipped scenario.
         seed, duration: replace the file's.
+        pilot: the estimator that the autopilot flies on, or "truth", instead of the file's.
         estimators: keep only these: names of the file's `[estimator.NAME]`, or `METHOD@SUITE` for one of the catalogue.
 
     Raises:
         InputError: what is wrong, in which file and key, and what to do.
     """
     path = find(name)
-    return parse(_merged(path), str(path), path.stem, seed=seed, duration=duration, estimators=estimators)
+    return parse(_merged(path), str(path), path.stem, seed=seed, duration=duration, estimators=estimators, pilot=pilot)
 
 
 def parse(
@@ -159,6 +162,7 @@ def parse(
     seed: int | None = None,
     duration: float | None = None,
     estimators: Sequence[str] = (),
+    pilot: str | None = None,
 ) -> Scenario:
     """`load` for TOML data that is already there, e.g. from the scenario kept in a log."""
     data = copy.deepcopy(data)
@@ -166,7 +170,10 @@ def parse(
         data["seed"] = seed
     if duration is not None:
         data["duration_s"] = duration
+    if pilot is not None:
+        data["pilot"] = {"attitude": pilot}
     data.setdefault("suite", copy.deepcopy(DEFAULT_SUITES))
+    notes = _add_catalogue(data, where)
     data.setdefault("estimator", copy.deepcopy(DEFAULT_ESTIMATORS))
     if estimators and isinstance(data["estimator"], dict):
         data["estimator"] = _selected(data["estimator"], estimators, where)
@@ -199,10 +206,43 @@ def parse(
         suites=_components(table, "suite"),
         estimators=_components(table, "estimator"),
         faults=tuple(Component(f"fault-{i + 1}", t.data, t.where) for i, t in enumerate(table.list_of_tables("fault"))),
+        notes=() if estimators else notes,
     )
     table.close()
     _check_links(scenario)
     return scenario
+
+
+def _add_catalogue(data: dict[str, Any], where: str) -> tuple[str, ...]:
+    """Take `catalogue = "SUITE"` as every method there is on that suite, but for those the scenario names itself.
+
+    `METHOD-SUITE`, and `METHOD-air-SUITE` with the airspeed for what believes the accelerometer otherwise. Methods
+    whose package is not installed are left out with a note.
+    """
+    if "catalogue" not in data or not isinstance(data.get("estimator", {}), dict):
+        return ()
+    suite = Table(data, where).text("catalogue")
+    del data["catalogue"]
+    from estimators.catalogue import describe
+
+    named: dict[str, Any] = data.get("estimator", {})
+    missing: dict[str, None] = {}
+    taken = [{"aiding": "none", **settings} for settings in named.values() if isinstance(settings, dict)]
+    for method in describe():
+        aiding = method.settings.get("aiding")
+        aided = aiding is not None and aiding.default == "none" and "states" not in method.settings
+        for name, more in ((method.name, {}), *([(f"{method.name}-air", {"aiding": "airspeed"})] if aided else [])):
+            wanted = {"method": method.name, "suite": suite, **more}
+            if not method.installed:
+                missing[method.package] = None
+            elif {"aiding": "none", **wanted} not in taken:
+                named.setdefault(f"{name}-{suite}", wanted)
+    data["estimator"] = named
+    if not missing:
+        return ()
+    return (
+        f"without the estimators of {', '.join(missing)}, not installed (the peers: pip install 'ahrs-sim[peers]')",
+    )
 
 
 def _merged(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:

@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from importlib import metadata
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, cast
 
 from estimators.errors import SettingError
@@ -36,6 +37,13 @@ class Method:
     model: str  # module with `build`
     settings: Mapping[str, Setting]
     filter_settings: tuple[str, ...] = ()  # those that are fields of the filter's class
+    own: bool = True  # false: of another installed package, by its entry point
+    package: str = ""  # that it needs besides
+
+    @property
+    def installed(self) -> bool:
+        """Whether the package that it needs is there."""
+        return not self.package or find_spec(self.package) is not None
 
 
 _START = {
@@ -247,8 +255,24 @@ def names() -> list[str]:
 
 
 def describe() -> list[Method]:
-    """The catalogue: name, one line, source and settings with their defaults, of each method."""
-    return list(_METHODS)
+    """The catalogue: name, one line, source and settings with their defaults, of each method.
+
+    Those of installed packages follow, as their classes say of themselves: first line of the docstring, `SOURCE`,
+    `SETTINGS` (by name) and `PACKAGE`, what they need besides.
+    """
+    points = sorted(metadata.entry_points(group=GROUP), key=lambda point: point.name)
+    return [*_METHODS, *map(_found, points)]
+
+
+def _found(point: metadata.EntryPoint) -> Method:
+    try:
+        made = point.load()
+    except (ImportError, AttributeError) as error:
+        return Method(point.name, f"cannot be loaded: {error}", "", "", point.value, {}, own=False)
+    text = (made.__doc__ or "").strip().partition("\n")[0].removesuffix(".")
+    source, package = (str(getattr(made, told, "")) for told in ("SOURCE", "PACKAGE"))
+    settings: Mapping[str, Setting] = getattr(made, "SETTINGS", {})
+    return Method(point.name, text, source, "", point.value, settings, own=False, package=package)
 
 
 def create(name: str, *, site: Site | None = None, sensors: SensorInfo | None = None, **settings: Any) -> "Estimator":

@@ -185,7 +185,7 @@ def test_the_standard_suite_has_every_scenario_and_method() -> None:
         if "chr" not in flight.run.data["suite"]:
             continue
         flown = {e["method"] for e in flight.run.data["estimator"].values()}
-        assert flown >= {m.name for m in estimators.describe()}
+        assert flown >= {m.name for m in estimators.describe() if m.own}
 
 
 # ----------------------------------------------------------------------------------------------- planted faults

@@ -1,12 +1,16 @@
 """Scenarios: what is accepted, and the one line a mistake gets."""
 
+import json
 import math
+import sys
 from pathlib import Path
 
 import pytest
 
+from ahrs_sim import cli
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.errors import InputError
+from estimators import describe
 
 MINIMAL = """
 aircraft = "trainer"
@@ -95,3 +99,59 @@ def test_missing_file_and_unknown_name(tmp_path: Path) -> None:
 def test_unknown_estimator_on_the_command_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="did you mean 'ckf-chr'"):
         scenarios.load(write(tmp_path, MINIMAL), estimators=["ckf-ch"])
+
+
+def test_turns_ask_for_the_whole_catalogue() -> None:
+    turns = scenarios.load("turns")
+    asked = {(e.settings["method"], e.settings.get("aiding", "none")) for e in turns.estimators}
+    for method in describe():
+        if method.installed:
+            assert (method.name, "none") in asked, method.name
+    peers = {m.name for m in describe() if not m.own and m.installed and "aiding" in m.settings}
+    assert {(name, "airspeed") for name in ("marg-ekf", "marg-ckf", "marg-cdkf", *peers)} <= asked
+    listed = [(e.settings["method"], e.settings["suite"], e.settings.get("aiding")) for e in turns.estimators]
+    assert len(set(listed)) == len(listed), "none flies twice"
+    again = scenarios.parse(turns.data, "again", "again")
+    assert again.estimators == tuple(
+        scenarios.Component(e.name, e.settings, e.where.replace(turns.where, "again")) for e in turns.estimators
+    )
+
+
+def test_a_peer_that_is_not_installed_is_a_note_and_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    everybody = {e.name for e in scenarios.load("turns").estimators}
+    for package in ("vqf", "imufusion", "ahrs"):
+        monkeypatch.setitem(sys.modules, package, None)
+    turns = scenarios.load("turns")
+    here = {e.name for e in turns.estimators}
+    peers = ("vqf", "imufusion", "madgwick", "mahony", "ahrs")
+    assert here == {name for name in everybody if not name.startswith(peers)}
+    (note,) = turns.notes
+    assert "vqf" in note and "pip install 'ahrs-sim[peers]'" in note and "\n" not in note
+    assert scenarios.load("turns", estimators=["ins21@chr"]).notes == ()
+    with pytest.raises(InputError, match=r"no \[estimator.vqf-chr\]"):
+        scenarios.load("turns", estimators=["vqf-chr"])
+
+
+def test_a_catalogue_of_an_unknown_suite_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="suite: 'chx' is unknown"):
+        scenarios.load(write(tmp_path, 'catalogue = "chx"\n' + MINIMAL))
+
+
+def test_the_pilot_of_the_command_line_replaces_that_of_the_file() -> None:
+    assert scenarios.load("closed_loop").pilot_attitude == "ins21-chr"
+    assert scenarios.load("closed_loop", pilot="ckf-chr").pilot_attitude == "ckf-chr"
+    with pytest.raises(InputError, match="did you mean 'ckf-chr'"):
+        scenarios.load("closed_loop", pilot="ckf-ch")
+
+
+def test_the_list_names_source_and_peers(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    assert cli.main(["list", "estimators"]) == 0
+    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
+    assert "Yao 2012" in lines["sekf"]
+    assert {m.name for m in describe()} == set(lines)
+    for method in (m for m in describe() if not m.own):
+        monkeypatch.setitem(sys.modules, method.package, None)
+        assert cli.main(["list", "estimators", "--json"]) == 0
+        (row,) = (r for r in json.loads(capsys.readouterr().out) if r["name"] == method.name)
+        assert f"'{method.package}' is not installed" in row["source"]
+        assert row["settings"]["aiding"] == "none"
