@@ -144,6 +144,12 @@ def plausible(value: float, limit: float) -> bool:
 
 
 @njit(forceinline=True)
+def on_earth(latitude: float, longitude: float, height: float) -> bool:
+    """Whether it is a place near the Earth (rad, rad, m): an angle of any size would be one after wrapping."""
+    return abs(latitude) < 1.58 and abs(longitude) < 6.3 and abs(height) < 1e6  # False for NaN
+
+
+@njit(forceinline=True)
 def report_attitude(q: np.ndarray, row: np.ndarray) -> None:
     """Quaternion and down vector of a row of estimates from q_nb (first four elements), of any length."""
     a, b, c, d = q[0], q[1], q[2], q[3]

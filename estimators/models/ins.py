@@ -41,6 +41,7 @@ from estimators.models.base import (
     MAX_SPEED,
     ROWS,
     START,
+    on_earth,
     plausible,
     report_attitude,
     size,
@@ -555,6 +556,7 @@ def _measure_gnss(
     acceleration2 = force[0] ** 2 + force[1] ** 2 + (force[2] + model.gravity) ** 2
     _apart(row[LLA], row[LLA + 1], row[LLA + 2], then[3], then[4], then[5], apart, 0)
     _apart(x[7], x[8], x[9], model.origin[0], model.origin[1], model.origin[2], here, 0)
+    place = on_earth(row[LLA], row[LLA + 1], row[LLA + 2])
     for i in range(3):
         speed = row[VEL + i]
         z[i] = x[4 + i] + (speed - then[i])
@@ -563,7 +565,7 @@ def _measure_gnss(
         u[_VAR + i] = (wide * model.gnss_velocity) ** 2 + 0.0025 * acceleration2
         u[_VAR + 3 + i] = (wide * model.gnss_position) ** 2
         used[i] = plausible(speed, MAX_SPEED)
-        used[3 + i] = plausible(apart[i], 1e6)
+        used[3 + i] = place and plausible(apart[i], 1e6)
     if used[0] and used[1] and used[2]:
         memory[_SPEED] = math.sqrt(row[VEL] ** 2 + row[VEL + 1] ** 2 + row[VEL + 2] ** 2)
         memory[_AID_T] = memory[_GNSS_T] = row[T]

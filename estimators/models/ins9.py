@@ -31,7 +31,7 @@ from estimators.earth import EARTH_RATE, apart, move, normal_gravity, radii
 from estimators.generic import register
 from estimators.jit import njit
 from estimators.models.attitude_error import mean_rate, rotation_slopes
-from estimators.models.base import MAX_FORCE, MAX_SPEED, plausible, report_attitude
+from estimators.models.base import MAX_FORCE, MAX_SPEED, on_earth, plausible, report_attitude
 from estimators.past import LENGTH, WIDTH, keep, recall
 from estimators.rotations import attitude_matrix, multiply, normalise, to_nav, turn, wrap
 from estimators.rows import (
@@ -172,10 +172,11 @@ def _measure_fix(
     here, there = np.empty(3), np.empty(3)
     apart(x[4:7], model.origin, here)
     apart(row[LLA : LLA + 3], model.origin, there)
+    place = on_earth(row[LLA], row[LLA + 1], row[LLA + 2])
     for i in range(3):
         z[i] = here[i] + (there[i] - then[i])
         z[3 + i] = x[7 + i] + (row[VEL + i] - then[3 + i])
-        used[i], used[3 + i] = plausible(there[i], 1e7), plausible(row[VEL + i], MAX_SPEED)
+        used[i], used[3 + i] = place and plausible(there[i], 1e7), plausible(row[VEL + i], MAX_SPEED)
     if used[3] and used[4] and used[5]:
         memory[_FIX_T] = row[T]
 
