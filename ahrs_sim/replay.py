@@ -208,6 +208,10 @@ def _run(
             reached = 0.0
             for suite, block in blocks.items():
                 passing.records(suite, block)
+                if "reference" in block:
+                    reference: Any = block["reference"]
+                    known = np.isfinite(reference.q_nb).all(axis=1)
+                    topics.reference(reference.stamp_ns[known] / 1e9, reference.q_nb[known])
                 samples = assemblers[suite].process(block)
                 for name, estimator in listening[suite].items():
                     topics.write(name, estimator.process(samples))

@@ -16,7 +16,7 @@ from ahrs_sim import pipeline, replay, scenario
 from ahrs_sim.cli import main
 from ahrs_sim.log.reader import LogReader
 from ahrs_sim.log.record import FlightReader
-from ahrs_sim.review import compare
+from ahrs_sim.review import compare, consistency, metrics
 
 DATA = Path(__file__).parents[1].parent / "shared" / "data"
 real = pytest.mark.skipif(not DATA.is_dir(), reason=f"real recordings are not there: {DATA}")
@@ -48,6 +48,36 @@ def test_own_log_gives_the_same_bytes(flown: Path, tmp_path: Path) -> None:
         topics = list(before.topics)
     for topic in topics:
         assert messages(flown, topic) == messages(out, topic), topic
+
+
+def test_attitudes_and_errors_for_plots(flown: Path) -> None:
+    with FlightReader(flown) as log:
+        truth = log.truth()
+        for name in log.estimators:
+            estimates = log.estimates(name)
+            errors, attitude = log.read(f"/est/{name}/errors"), log.read(f"/est/{name}/attitude")
+            rows = np.searchsorted(estimates.t, log.seconds(errors["log_time"]) - 1e-6)
+            known = np.isfinite(estimates.down_b).all(axis=1)
+            assert len(errors) == len(attitude) == pytest.approx(10 * (24.0 - estimates.t[known][0]), abs=2)
+            wanted = metrics.attitude_errors(
+                estimates.q_nb[rows],
+                estimates.down_b[rows],
+                metrics.interpolate(truth.t, truth.q_nb, estimates.t[rows]),
+            )
+            for measure, values in zip(metrics.MEASURES, wanted.T, strict=True):
+                assert errors[measure] == pytest.approx(values, abs=1e-12, nan_ok=True)
+            sigma = consistency.euler_sigma(estimates.q_nb[rows], estimates.att_cov[rows])
+            assert errors["heading_sigma"] == pytest.approx(sigma[:, 2], rel=1e-5, nan_ok=True)
+            true_heading = np.interp(errors["log_time"], *_heading(log))
+            difference = metrics.wrap(attitude["heading"] - errors["heading"] - true_heading)
+            assert np.nanmax(np.abs(difference)) < 1e-5
+
+
+def _heading(log: FlightReader) -> tuple[np.ndarray, np.ndarray]:
+    true = log.read("/truth/attitude")
+    assert len(true) == 241
+    assert true["heading"].min() >= 0
+    return true["log_time"], np.unwrap(true["heading"])
 
 
 def test_other_estimators_on_request(flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -117,6 +147,9 @@ def test_an_ideal_bag_gives_a_tiny_error(tmp_path: Path, capsys: pytest.CaptureF
         assert messages(bag, topic) == messages(out, topic)
     with LogReader(out) as log:
         assert log.metadata["replay"]["topic imu"] == "/imu/data_raw FLU ENU"
+        errors = log.read(f"/est/{exact}/errors")
+        assert len(errors) > 500
+        assert np.abs(errors["total"][-300:]).max() < 1e-4
 
 
 def test_compare_takes_out_delay_and_rotation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,6 +20,7 @@ from ahrs_sim.log.reader import stamps, vector
 from ahrs_sim.sensors import air_data
 from ahrs_sim.sensors.records import (
     AirRecord,
+    AttitudeRecord,
     FixRecord,
     HeadingRecord,
     ImuRecord,
@@ -29,7 +30,7 @@ from ahrs_sim.sensors.records import (
     SuiteBlock,
     VelocityRecord,
 )
-from estimators.types import blank, column
+from estimators.types import blank
 
 HOLD_NS = 10**9
 """How much later than the newest a message may be and still be put in its place."""
@@ -44,13 +45,6 @@ GAP = 5.0
 """Median intervals of the IMU from which on a pause is a gap."""
 
 _LAPSE, _EXPONENT = 0.0065, 5.255876  # K/m, standard atmosphere below 11 km
-
-
-@dataclass(frozen=True, slots=True)
-class AttitudeRecord(Record):
-    """Orientation from a reference."""
-
-    q_nb: np.ndarray = column(4)  # (n, 4)
 
 
 _RECORDS: dict[str, type[Record]] = {

@@ -19,8 +19,11 @@ def reference() -> str:
     suite = [_behind("/<suite>", route) for _, route in record.INSTRUMENTS.values()]
     suite += [_behind("/<suite>", route) for route in record.STATUS.values()]
     suite.append(_behind("/<suite>", record.TEMPERATURE))
-    estimator = [_behind("/est/<name>", route) for route in (record.STATE, record.ESTIMATED_IMU)]
-    parts = ["## Topics", "", "### Truth", "", *_topics((*record.TRUTH, record.TRUTH_FIX, record.TF, record.TF_STATIC))]
+    estimator = [
+        _behind("/est/<name>", route) for route in (record.STATE, record.ESTIMATED_IMU, record.ATTITUDE, record.ERRORS)
+    ]
+    truth = (*record.TRUTH, record.TRUTH_ATTITUDE, record.TRUTH_FIX, record.TF, record.TF_STATIC)
+    parts = ["## Topics", "", "### Truth", "", *_topics(truth)]
     parts += ["", "### Each sensor suite", "", *_topics(suite)]
     parts += ["", "### Each estimator", "", *_topics(estimator)]
     parts += ["", "### Pilot and events", "", *_topics((record.SETPOINTS, record.EVENTS)), ""]

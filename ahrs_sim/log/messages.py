@@ -167,6 +167,21 @@ float32[3] accel_bias_sigma # m/s2
 float32[12] innovation # decorrelated, in the units of the method's measurements; NaN where unused
 float32[12] innovation_variance # of the above; NIS is the sum of innovation^2 / innovation_variance
 float32[4] adaptation # state of the adaptation policy, meaning by method
+MSG: ahrs_sim_msgs/Attitude
+std_msgs/Header header
+float64 roll # rad
+float64 pitch # rad
+float64 heading # rad, true, 0 to 2 pi; NaN without one
+MSG: ahrs_sim_msgs/AttitudeErrors
+std_msgs/Header header
+float64 roll # rad, estimate less truth, as pitch and heading; heading NaN without one
+float64 pitch # rad
+float64 heading # rad, -pi to pi
+float64 tilt # rad, angle between the two verticals
+float64 total # rad, angle of the whole rotation; NaN without a heading
+float64 roll_sigma # rad, one sigma as the estimator claims it; NaN where it claims none
+float64 pitch_sigma # rad
+float64 heading_sigma # rad
 MSG: ahrs_sim_msgs/Setpoints
 std_msgs/Header header
 int32 step # of the scenario, from 0

@@ -27,8 +27,10 @@ from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
 from ahrs_sim.log.reader import LogReader, quaternion, stamps, vector
 from ahrs_sim.log.writer import LogChannel, LogWriter
+from ahrs_sim.review import consistency, metrics
 from ahrs_sim.sensors.records import (
     AirRecord,
+    AttitudeRecord,
     FixRecord,
     HeadingRecord,
     ImuErrorsRecord,
@@ -50,9 +52,12 @@ TRUTH_RATE = 100.0  # Hz, of the truth in the log
 TF_RATE = 50.0  # Hz, of the moving frame
 FIX_RATE = 5.0  # Hz, of the true position for maps
 TEMPERATURE_EVERY = 50  # IMU messages
+PLOT_RATE = 10.0  # Hz, of attitudes and errors for plots
 
 HOLD_S = 0.5
 """How long after its own time a message may still come: sensors deliver late, estimates follow them."""
+
+_REMEMBERED_S = 5.0  # of the reference, longer than estimates lag behind it
 
 _UNKNOWN = np.r_[-1.0, np.zeros(8)]  # ROS for a field that is not reported
 _HALF = float(np.sqrt(0.5))
@@ -164,6 +169,12 @@ TRUTH_FIX = Route(
     FRD,
     f"The position for maps, deg and m above the ellipsoid, {FIX_RATE:g} Hz.",
     constant={"status": {"service": 1}},
+)
+TRUTH_ATTITUDE = Route(
+    "/truth/attitude",
+    "ahrs_sim_msgs/msg/Attitude",
+    NED,
+    f"Roll, pitch and heading for plots, {PLOT_RATE:g} Hz.",
 )
 TF = Route(
     "/tf",
@@ -354,6 +365,18 @@ ESTIMATED_IMU = Route(
     {"orientation": "q_nb"},
     {"angular_velocity_covariance": _UNKNOWN, "linear_acceleration_covariance": _UNKNOWN},
 )
+ATTITUDE = Route(
+    "/attitude",
+    "ahrs_sim_msgs/msg/Attitude",
+    NED,
+    f"Roll, pitch and heading for plots, {PLOT_RATE:g} Hz.",
+)
+ERRORS = Route(
+    "/errors",
+    "ahrs_sim_msgs/msg/AttitudeErrors",
+    NED,
+    f"How wrong it is, for plots, {PLOT_RATE:g} Hz: against the truth, in the replay of a bag against its reference.",
+)
 REFERENCE = Route(
     "/reference/imu",
     "sensor_msgs/msg/Imu",
@@ -401,22 +424,64 @@ class EstimateTopics:
     def __init__(self, writer: LogWriter, epoch_ns: int, names: Iterable[str]) -> None:
         self.writer, self.epoch_ns = writer, epoch_ns
         self._channels = {
-            name: (STATE.channel(writer, f"/est/{name}"), ESTIMATED_IMU.channel(writer, f"/est/{name}"))
+            name: [route.channel(writer, f"/est/{name}") for route in (STATE, ESTIMATED_IMU, ATTITUDE, ERRORS)]
             for name in names
         }
+        self._cell = dict.fromkeys(self._channels, -(2**62))  # of PLOT_RATE, the last one plotted
+        self._unjudged: dict[str, Estimates] = {}  # plotted, but the reference has not come so far
+        self._reference = np.empty(0), np.empty((0, 4))
+
+    def reference(self, t: np.ndarray, q_nb: np.ndarray) -> None:
+        """What errors are taken against, before the estimates of that time: `t` (n,) s rising, `q_nb` (n, 4)."""
+        if not len(t):
+            return
+        times, attitudes = self._reference
+        kept = times > (times[-1] if len(times) else 0.0) - _REMEMBERED_S
+        self._reference = np.concatenate([times[kept], t]), np.concatenate([attitudes[kept], q_nb])
 
     def write(self, name: str, block: Estimates) -> None:
         """A block of one estimator."""
         if not len(block):
             return
         times = nanoseconds(self.epoch_ns, block.t)
-        state, imu = self._channels[name]
+        state, imu, _, _ = self._channels[name]
         self.writer.write(state, times, times, **STATE.columns(block))
+        self._plotted(name, block)
         known = np.isfinite(block.q_nb).all(axis=1)
         if known.any():
             block, times = _picked(block, known), times[known]
             covariance = np.nan_to_num(block.att_cov)
             self.writer.write(imu, times, times, orientation=block.q_nb, orientation_covariance=covariance)
+
+    def _plotted(self, name: str, block: Estimates) -> None:
+        """Attitudes and errors of a block, which may have to wait for their reference."""
+        _, _, attitude, errors = self._channels[name]
+        cell = np.floor(block.t * PLOT_RATE + 1e-6).astype(np.int64)
+        rows = np.flatnonzero(np.diff(cell, prepend=self._cell[name]))
+        self._cell[name] = int(cell[-1])
+        block = _picked(block, rows[np.isfinite(block.down_b[rows]).all(axis=1)])
+        roll, pitch = np.arctan2(block.down_b[:, 1], block.down_b[:, 2]), np.arcsin(np.clip(-block.down_b[:, 0], -1, 1))
+        heading = np.mod(metrics.euler(block.q_nb)[:, 2], 2 * np.pi)
+        times = nanoseconds(self.epoch_ns, block.t)
+        self.writer.write(attitude, times, times, roll=roll, pitch=pitch, heading=heading)
+
+        reached, q_nb = self._reference
+        if name in self._unjudged:
+            block = Estimates.concatenate([self._unjudged[name], block])
+        wait = block.t > (reached[-1] if len(reached) > 1 else -np.inf)
+        self._unjudged[name] = _picked(block, wait & (block.t > block.t[-1:] - HOLD_S))
+        block = _picked(block, ~wait)
+        if not len(block):
+            return
+        truth = metrics.interpolate(reached, q_nb, block.t)
+        known = np.isfinite(truth).all(axis=1)
+        block, truth = _picked(block, known), truth[known]
+        error = metrics.attitude_errors(block.q_nb, block.down_b, truth)
+        sigma = consistency.euler_sigma(block.q_nb, block.att_cov)
+        columns = dict(zip(metrics.MEASURES, error.T, strict=True))
+        columns |= {f"{axis}_sigma": s for axis, s in zip(metrics.MEASURES, sigma.T, strict=False)}
+        times = nanoseconds(self.epoch_ns, block.t)
+        self.writer.write(errors, times, times, **columns)
 
 
 def nanoseconds(epoch_ns: int, t: np.ndarray) -> np.ndarray:
@@ -461,6 +526,7 @@ class FlightLog:
         self._logged = Every(truth_rate / TRUTH_RATE)
         self._moved = Every(truth_rate / TF_RATE)
         self._fixed = Every(truth_rate / FIX_RATE)
+        self._plotted = Every(truth_rate / PLOT_RATE)
         self._warmed: dict[str, Every] = {}
         self._saturated: dict[tuple[str, str], bool] = {}
 
@@ -468,6 +534,7 @@ class FlightLog:
         self._tf = self._frames(TF)
         self._truth = [(route, route.channel(writer)) for route in TRUTH]
         self._fix = TRUTH_FIX.channel(writer)
+        self._attitude = TRUTH_ATTITUDE.channel(writer)
         self._events = EVENTS.channel(writer)
         self._setpoints = SETPOINTS.channel(writer)
         self._instruments: dict[tuple[str, str], LogChannel] = {}
@@ -513,6 +580,11 @@ class FlightLog:
                 columns["twist.twist.linear"] = _to_body(logged.q_nb, logged.vel_n)
                 columns["twist.twist.angular"] = logged.rate_ib_b
             self.writer.write(channel, times[rows], times[rows], **columns)
+        self._estimates.reference((times[rows] - self.epoch_ns) / 1e9, logged.q_nb)  # as a replay will read it
+        rows = self._plotted.rows(len(block))
+        roll, pitch, heading = metrics.euler(block.q_nb[rows]).T
+        heading = np.mod(heading, 2 * np.pi)
+        self.writer.write(self._attitude, times[rows], times[rows], roll=roll, pitch=pitch, heading=heading)
         rows = self._moved.rows(len(block))
         moved = {
             "transforms.0.transform.translation": _offset_n(block.lla[rows], self._origin),
@@ -683,7 +755,8 @@ class FlightReader(LogReader):
     def suite_blocks(self, names: Sequence[str]) -> Iterator[dict[str, SuiteBlock]]:
         """What the instruments of several suites have sent, by suite, portion by portion in the order of arrival.
 
-        Only what estimators see: states of saturation and temperatures are left out.
+        Only what estimators see: states of saturation and temperatures are left out. The first suite also has the true
+        attitude, as `reference`, where the log has it.
 
         Raises:
             InputError: a suite is not in this log.
@@ -693,8 +766,13 @@ class FlightReader(LogReader):
         heard = [(suite, i) for suite in names for i in self.suites[suite] if i in HEARD]
         topics = {f"/{suite}{INSTRUMENTS[i][1].topic}": (suite, i) for suite, i in heard}
         satellites = {f"/{suite}{STATUS[i].topic}": suite for suite, i in heard if i == "fix"}
-        for messages in self.blocks([*topics, *satellites]):
+        truth = [ODOMETRY.topic] if ODOMETRY.topic in self.topics else []
+        for messages in self.blocks([*topics, *satellites, *truth]):
             found: dict[str, SuiteBlock] = {suite: {} for suite in names}
+            for topic in truth:
+                found[names[0]]["reference"] = AttitudeRecord(
+                    **self._columns(AttitudeRecord, ODOMETRY, messages[topic])
+                )
             for topic, (suite, instrument) in topics.items():
                 kind, route = INSTRUMENTS[instrument]
                 columns = self._columns(kind, route, messages[topic])

@@ -7,7 +7,6 @@ so that sums over time obey the law too; estimation errors are not, so that NEES
 """
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from ahrs_sim.review import metrics
 
@@ -19,6 +18,8 @@ def chi_square_bounds(freedom: np.ndarray | float, probability: float = 0.95) ->
         freedom: degrees of freedom; NaN where not positive.
         probability: of lying between the bounds, the rest halved.
     """
+    from scipy.special import gammaincinv  # half a second that only reports need
+
     k = np.asarray(freedom, dtype=float)
     tail = 0.5 * (1.0 - probability)
     with np.errstate(invalid="ignore"):

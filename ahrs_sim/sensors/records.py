@@ -97,7 +97,14 @@ class PhaseRecord(Record):
     bearing: np.ndarray = column()  # rad, coarse amplitude bearing
 
 
+@dataclass(frozen=True, slots=True)
+class AttitudeRecord(Record):
+    """Attitude of a reference: the truth of a flight, or what a bag has to compare with."""
+
+    q_nb: np.ndarray = column(4)  # (n, 4)
+
+
 SuiteBlock = dict[str, Record]
 """One block of a suite, records by instrument: imu, imu_errors, mag, fix, velocity, heading, diff_pressure,
-static_pressure, air, interferometer.
+static_pressure, air, interferometer; on replay also reference.
 """
