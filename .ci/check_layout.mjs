@@ -16,7 +16,6 @@ const page = `<!DOCTYPE html><html><head><meta charset="utf-8"><style>html, body
 <script src="/@foxglove/studio-base/assets/index.js"></script>
 <script type="module">
   const data = await (await fetch("/layout.json")).json();
-  data.configById["Tab!main"].activeTabIdx = Number(new URL(location).searchParams.get("tab"));
   const layout = { id: "1", name: "ahrs_sim", permission: "CREATOR_WRITE", baseline: { data, savedAt: new Date().toISOString() }, working: undefined, syncInfo: undefined };
   const values = new Map([["colorScheme", "light"], ["ui.open-dialog-startup", false], ["hideSignInPrompt", true], ["telemetry.telemetryEnabled", false], ["crashReportingEnabled", false]]);
   const appConfiguration = { get: (k) => values.get(k), set: async (k, v) => void values.set(k, v), addChangeListener() {}, removeChangeListener() {} };
@@ -43,37 +42,59 @@ const server = createServer((request, response) => {
 }).listen(0);
 const address = `http://localhost:${server.address().port}/`;
 
+const WAIT = 180_000; // ms for one tab: a slow machine may take its time, what stays blank fails in the end
+const panel = (name) => `[data-testid="panel-mouseenter-container ${name}"]`;
+
+// Coloured pixels from the given fraction of the width on, of pictures or of canvases: [all, red, green, blue] each.
+// Curves and the axes of the aircraft are coloured, text, scales and grids are not.
+const colours = async ([sources, from]) => {
+  const found = [];
+  for (const source of sources) {
+    const picture = typeof source !== "string" ? source : source.startsWith("data:") ? Object.assign(new Image(), { src: source }) : document.querySelector(source);
+    if (picture?.decode) await picture.decode();
+    const { width, height } = picture ?? {}, seen = [0, 0, 0, 0];
+    found.push(seen);
+    if (!width || !height) continue;
+    const ctx = Object.assign(document.createElement("canvas"), { width, height }).getContext("2d"), first = Math.floor(from * width);
+    ctx.drawImage(picture, 0, 0);
+    const { data } = ctx.getImageData(first, 0, width - first, height);
+    for (let i = 0; i < data.length; i += 4) {
+      const rgb = [data[i], data[i + 1], data[i + 2]], high = Math.max(...rgb);
+      if (high - Math.min(...rgb) > 60) { seen[0]++; seen[1 + rgb.indexOf(high)]++; }
+    }
+  }
+  return found;
+};
+
 const browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"] });
 try {
   const tab = await browser.newPage({ viewport: { width: 1500, height: 950 } });
   const trouble = [];
   tab.on("pageerror", (e) => trouble.push(String(e)));
   if (process.env.VERBOSE) tab.on("console", (m) => console.log(m.type(), m.text().slice(0, 300)));
-  const names = JSON.parse(readFileSync(layout)).configById["Tab!main"].tabs.map((t) => t.title);
-  for (const [k, name] of names.entries()) {
-    const query = new URLSearchParams({ tab: k, layoutId: "1", ds: "remote-file", "ds.url": `${address}log.mcap` });
-    await tab.goto(`${address}?${query}`);
-    await tab.waitForFunction(() => document.querySelectorAll("canvas").length > 3, null, { timeout: 60_000 });
-    // Curves are coloured, axes and grids are not; of the 3-D view, which a script cannot read, there is the screenshot.
-    const coloured = () => tab.$$eval("canvas", (all) => all.map((c) => {
-      if (!c.width || !c.height) return 0;
-      const copy = Object.assign(document.createElement("canvas"), { width: c.width, height: c.height }), ctx = copy.getContext("2d");
-      ctx.drawImage(c, 0, 0);
-      const { data } = ctx.getImageData(0, 0, c.width, c.height);
-      let count = 0;
-      for (let i = 0; i < data.length; i += 4) if (Math.max(data[i], data[i + 1], data[i + 2]) - Math.min(data[i], data[i + 1], data[i + 2]) > 60) count++;
-      return count;
-    }));
-    const until = Date.now() + 120_000;
-    let drawn = await coloured();
-    while (drawn.filter((n) => n > 100).length < drawn.length - 1 && Date.now() < until) {
-      await tab.waitForTimeout(2000);
-      drawn = await coloured();
-    }
-    await tab.screenshot({ path: `${folder}/layout-${k + 1}.png` });
-    console.log(`${name}: ${drawn.length} canvases, coloured pixels ${drawn.join(" ")}`);
-    if (drawn.filter((n) => n > 100).length < drawn.length - 1) throw new Error(`${name}: a plot stays blank`);
+  const { configById } = JSON.parse(readFileSync(layout));
+  const names = (node) => (typeof node === "string" ? [node] : [...names(node.first), ...names(node.second)]);
+  for (const [k, { title, layout: node }] of configById["Tab!main"].tabs.entries()) {
+    const begun = Date.now(), plots = names(node);
+    // What is still missing of a tab; null: all is there.
+    const missing = async () => {
+      // The end of every plot is coloured once the whole flight is in it.
+      const drawn = await tab.evaluate(colours, [plots.map((name) => `${panel(name)} canvas`), 0.8]);
+      const blank = plots.filter((_, i) => drawn[i][0] < 10);
+      if (blank.length) return `blank: ${blank.join(", ")}`;
+      // The canvas of the 3-D view cannot be read, but a picture taken of it.
+      const picture = await tab.locator(panel("3D!aircraft")).screenshot({ timeout: WAIT });
+      const [seen] = await tab.evaluate(colours, [[`data:image/png;base64,${picture.toString("base64")}`], 0]);
+      return Math.min(...seen.slice(1)) < 20 ? `no aircraft in the 3-D view: ${seen.slice(1)} pixels red, green, blue` : null;
+    };
+    if (k) await tab.locator(panel("Tab!main")).getByTestId("toolbar-tab").nth(k).click({ timeout: WAIT });
+    else await tab.goto(`${address}?${new URLSearchParams({ layoutId: "1", ds: "remote-file", "ds.url": `${address}log.mcap` })}`, { timeout: WAIT });
+    let lacks;
+    while ((lacks = await missing()) && !trouble.length && Date.now() - begun < WAIT) await tab.waitForTimeout(500);
+    await tab.screenshot({ path: `${folder}/layout-${k + 1}.png`, timeout: WAIT });
     if (trouble.length) throw new Error(trouble.join("\n"));
+    if (lacks) throw new Error(`${title}: ${lacks}`);
+    console.log(`${title}: ${plots.length} plots and the 3-D view after ${((Date.now() - begun) / 1000).toFixed(0)} s`);
   }
 } finally {
   await browser.close();

@@ -1,9 +1,9 @@
 """Layouts of viewers that open our logs without editing.
 
 `ahrs_sim.json` fits the shipped circuit; `ahrs-sim export LOG --to layout` makes one with the names of any log of ours.
-Foxglove and Lichtblick take both (Layouts, Import from file). Their plots know fields of messages and nothing derived
-from them, so attitudes are shown as quaternions, and errors are left to the report: a script inside a layout could
-make them, but is called for every message of a flight before anything is drawn, which takes minutes.
+Foxglove and Lichtblick take both (Layouts, Import from file). Their plots know fields of messages and hardly anything
+derived from them, and load whole messages of a whole flight: for their sake our logs have angles and errors as topics
+of their own, ten times a second.
 """
 
 import json
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ahrs_sim.errors import InputError
-from ahrs_sim.log.record import FlightReader
+from ahrs_sim.log.record import TRUTH_ATTITUDE, FlightReader
 
 Node = str | dict[str, Any]
 
@@ -36,8 +36,8 @@ def of_log(path: Path, output: Path) -> Path:
         InputError: not such a log, or an output that cannot be written.
     """
     with FlightReader(path) as log:
-        if "/truth/odometry" not in log.topics:
-            raise InputError(f"{path}: no /truth/odometry in it: only logs of ours have a layout")
+        if TRUTH_ATTITUDE.topic not in log.topics:
+            raise InputError(f"{path}: no {TRUTH_ATTITUDE.topic} in it: only logs of our flights have a layout")
         text = json.dumps(build(log.suites, log.estimators), indent=1) + "\n"
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
@@ -56,7 +56,13 @@ def build(suites: Mapping[str, Sequence[str]], estimators: Sequence[str]) -> dic
     """
     panels: dict[str, Any] = {}
 
-    def plot(key: str, title: str, paths: Iterable[tuple[str, str]], colors: Sequence[str] = _COLORS) -> Node:
+    def plot(
+        key: str,
+        title: str,
+        paths: Iterable[tuple[str, str]],
+        colors: Sequence[str] = _COLORS,
+        limit: float | None = None,
+    ) -> Node:
         panels[f"Plot!{key}"] = {
             "foxglovePanelTitle": title,
             "paths": [
@@ -71,33 +77,26 @@ def build(suites: Mapping[str, Sequence[str]], estimators: Sequence[str]) -> dic
             "showXAxisLabels": True,
             "showYAxisLabels": True,
             "sidebarDimension": 100,
-        }
+        } | ({"minYValue": -limit, "maxYValue": limit} if limit else {})
         return f"Plot!{key}"
 
     def vectors(topic: str, field: str) -> list[tuple[str, str]]:
         return [(f"{topic}.{field}.{axis}", axis) for axis in "xyz"]
 
+    def angles(key: str, title: str, field: str, *more: tuple[str, str], topic: str = "errors") -> Node:
+        paths = [(f"/est/{name}/{topic}.{field}.@rad2deg", name) for name in estimators]
+        return plot(key, f"{title}, deg", [*paths, *more], [*_COLORS[: len(estimators)], "#888888"])
+
+    axes = ("roll", "pitch", "heading")
     attitude = [
-        plot(
-            f"q_{part}",
-            f"attitude, quaternion {part}",
-            [
-                *((f"/est/{n}/imu.orientation.{part}", n) for n in estimators),
-                (f"/truth/imu.orientation.{part}", "truth"),
-            ],
-            [*_COLORS[: len(estimators)], "#888888"],
-        )
-        for part in "wxyz"
+        angles(axis, axis, axis, (f"{TRUTH_ATTITUDE.topic}.{axis}.@rad2deg", "truth"), topic="attitude")
+        for axis in axes
     ]
-    sigmas = [
-        plot(
-            f"variance_{axis}",
-            f"claimed attitude variance {axis}, rad²",
-            [(f"/est/{n}/state.attitude_covariance[{4 * k}]", n) for n in estimators],
-        )
-        for k, axis in enumerate("xyz")
+    tabs = [
+        {"title": "Attitude", "layout": _stack(attitude)},
+        {"title": "Errors", "layout": _stack([angles(f"{x}_error", f"{x} error", x) for x in (*axes, "tilt")])},
+        {"title": "Claimed σ", "layout": _stack([angles(f"{x}_sigma", f"{x}, one sigma", f"{x}_sigma") for x in axes])},
     ]
-    tabs = [{"title": "Attitude", "layout": _stack(attitude)}, {"title": "Variance", "layout": _stack(sigmas)}]
     for suite, instruments in suites.items():
         sensors = {
             "imu": [
@@ -111,7 +110,8 @@ def build(suites: Mapping[str, Sequence[str]], estimators: Sequence[str]) -> dic
             ],
         }
         nodes = [
-            plot(f"{suite}_{key}", f"{suite}: {title}", paths)
+            # Left alone, a plot in tesla shows a line of zeros.
+            plot(f"{suite}_{key}", f"{suite}: {title}", paths, limit=7e-5 if instrument == "mag" else None)
             for instrument, plots in sensors.items()
             if instrument in instruments
             for key, title, paths in plots
