@@ -1,15 +1,19 @@
 """The command line: `ahrs-sim COMMAND ...`. Every command imports only what it uses."""
 
 import argparse
+import contextlib
 import json
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ahrs_sim.errors import AhrsSimError, FlightError, InputError
 from estimators.errors import EstimationError
+
+if TYPE_CHECKING:
+    from ahrs_sim.live import Live
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -57,6 +61,7 @@ def _parser() -> argparse.ArgumentParser:
     fly.add_argument("--block", type=_positive, metavar="S", help="seconds a block (the log does not depend on it)")
     fly.add_argument("--json", action="store_true", help="print the accuracy as JSON")
     fly.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    _add_live(fly)
     fly.set_defaults(run=_fly)
 
     again = commands.add_parser("replay", help="run estimators on a log of ours or on the bag of a real vehicle")
@@ -79,6 +84,7 @@ def _parser() -> argparse.ArgumentParser:
     again.add_argument("--sync", action="store_true", help="shift a bag's reference to the time of its gyro")
     again.add_argument("--force", action="store_true", help="replace an existing log")
     again.add_argument("--json", action="store_true", help="print the accuracy as JSON")
+    _add_live(again)
     again.set_defaults(run=_replay)
 
     compare = commands.add_parser("compare", help="accuracy of every estimator in a log")
@@ -133,6 +139,20 @@ def _parser() -> argparse.ArgumentParser:
     listing.add_argument("--json", action="store_true")
     listing.set_defaults(run=_list)
     return parser
+
+
+def _add_live(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--live",
+        nargs="?",
+        type=_port,
+        const=8765,
+        metavar="PORT",
+        help="stream it to viewers, too (write --live=PORT)",
+    )
+    command.add_argument(
+        "--rate", type=_positive, default=1.0, metavar="X", help="with --live: so many times real time"
+    )
 
 
 def _add_check(commands: Any) -> None:
@@ -220,6 +240,12 @@ def _positive(text: str) -> float:
     return value
 
 
+def _port(text: str) -> int:
+    if not text.isdigit() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f"{text} is not a port; write --live=PORT, or put --live last")
+    return int(text)
+
+
 def _natural(text: str) -> int:
     value = int(text)
     if value < 0:
@@ -257,6 +283,8 @@ def _fly(arguments: argparse.Namespace) -> int:
 
     from ahrs_sim.flight import BLOCK_S
 
+    stop: list[int] = []
+    live = _live(arguments, lambda: bool(stop))
     block_s = arguments.block or BLOCK_S
     flight = None
     if scenario.pilot_attitude == "truth":  # flies on while the estimators are being loaded
@@ -270,7 +298,6 @@ def _fly(arguments: argparse.Namespace) -> int:
         for note in scenario.notes:
             print(f"ahrs-sim: {note}", file=sys.stderr)
     judge = compare.Judge([e.name for e in scenario.estimators])
-    stop: list[int] = []
     failure: FlightError | None = None
     previous = signal.signal(signal.SIGINT, lambda *_: stop.append(1))
     try:
@@ -281,6 +308,7 @@ def _fly(arguments: argparse.Namespace) -> int:
             force=arguments.force,
             block_s=block_s,
             flight=flight.ready() if flight else None,
+            live=live,
             progress=_Progress(f"flying {scenario.name}", hidden=arguments.quiet or arguments.json),
             stopped=lambda: bool(stop),
         )
@@ -289,6 +317,8 @@ def _fly(arguments: argparse.Namespace) -> int:
     finally:
         signal.signal(signal.SIGINT, previous)
         _Progress.clear()
+        if live:
+            live.close()
     if not arguments.quiet:
         result = {"log": str(output), **judge.result()}
         if arguments.json:
@@ -300,12 +330,24 @@ def _fly(arguments: argparse.Namespace) -> int:
     return 130 if stop else 0
 
 
+def _live(arguments: argparse.Namespace, stopped: Callable[[], bool] = lambda: False) -> "Live | None":
+    """The server that `--live` asks for."""
+    if arguments.live is None:
+        return None
+    from ahrs_sim.live import Live
+
+    live = Live(arguments.live, arguments.rate, stopped)
+    print(f"live at ws://localhost:{live.port} (Foxglove: Open connection, Foxglove WebSocket)", file=sys.stderr)
+    return live
+
+
 def _replay(arguments: argparse.Namespace) -> None:
     import tempfile
 
     from ahrs_sim import replay
 
-    with tempfile.TemporaryDirectory(prefix="ahrs_sim-") as folder:
+    live = _live(arguments)
+    with live or contextlib.nullcontext(), tempfile.TemporaryDirectory(prefix="ahrs_sim-") as folder:
         output = arguments.output or Path(folder) / arguments.log.with_suffix(".mcap").name
         notes = replay.replay(
             arguments.log,
@@ -314,8 +356,9 @@ def _replay(arguments: argparse.Namespace) -> None:
             map_file=arguments.map,
             calibrate=arguments.calibrate,
             sync=arguments.sync,
-            only_estimates=arguments.output is None,
+            only_estimates=arguments.output is None and live is None,
             force=arguments.force,
+            live=live,
             progress=_Progress(f"replaying {arguments.log.name}", hidden=arguments.json),
         )
         _Progress.clear()

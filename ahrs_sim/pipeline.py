@@ -21,6 +21,7 @@ from ahrs_sim.errors import FlightError, InputError
 from ahrs_sim.flight import BLOCK_S, Flight, open_flight
 from ahrs_sim.flight.truth import Event, Truth
 from ahrs_sim.log.record import TRUTH_RATE, Every, FlightLog
+from ahrs_sim.log.writer import Listener
 from ahrs_sim.scenario import Component, Scenario
 from ahrs_sim.sensors import Assembler, Suite, make_suite
 from ahrs_sim.sensors.faults import check_suites
@@ -49,6 +50,7 @@ def fly(
     force: bool = False,
     block_s: float = BLOCK_S,
     flight: Flight | None = None,
+    live: Listener | None = None,
     progress: Callable[[float, float | None], None] = lambda t, end: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
@@ -61,6 +63,7 @@ def fly(
         force: replace an existing log.
         block_s: length of the blocks, s; the log does not depend on it.
         flight: the scenario's flight, if it has begun already (see `flight.ahead`).
+        live: is given every message of the log, too (see `ahrs_sim.live`).
         progress: called with the time reached and the expected end (None: unknown), s.
         stopped: asked after every block; true ends the flight and completes the log.
 
@@ -88,6 +91,7 @@ def fly(
                 attachments={"scenario.toml": scenario.toml().encode(), **flight.attachments()},
                 metadata=_metadata(scenario, site, chains),
                 force=force,
+                listener=live,
             )
             stack.enter_context(log)
         record = _Recorder(log, judge, scenario.rate)

@@ -17,7 +17,7 @@ import estimators as library
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.errors import InputError
 from ahrs_sim.log.record import INSTRUMENTS, REFERENCE, EstimateTopics, FlightReader
-from ahrs_sim.log.writer import CarriedChannel, LogWriter
+from ahrs_sim.log.writer import CarriedChannel, Listener, LogWriter
 from ahrs_sim.scenario import Component
 from ahrs_sim.sensors.assemble import Assembler
 from ahrs_sim.sensors.records import SuiteBlock
@@ -59,6 +59,7 @@ def replay(
     sync: bool = False,
     only_estimates: bool = False,
     force: bool = False,
+    live: Listener | None = None,
     progress: Callable[[float, float | None], None] = lambda t, end: None,
 ) -> list[str]:
     """Run estimators on a recording into a new log.
@@ -74,6 +75,7 @@ def replay(
         sync: shift a bag's reference to the time of its gyro.
         only_estimates: carry nothing along but the truth.
         force: replace an existing log.
+        live: is given every message of the new log, too (see `ahrs_sim.live`).
         progress: called with the time reached and the end, s.
 
     Returns:
@@ -92,7 +94,7 @@ def replay(
             if not foreign:
                 if map_file or calibrate or sync:
                     raise InputError(f"{path}: a log of ours needs no --map, --calibrate or --sync; leave them out")
-                _run(of_flight(log, estimators), output, prefixes, force, progress)
+                _run(of_flight(log, estimators), output, prefixes, force, progress, live)
                 return []
     from ahrs_sim.bags.mapping import SUITE
     from ahrs_sim.bags.recording import open_bag
@@ -112,7 +114,7 @@ def replay(
             has_reference="reference" in bag.converter.chosen,
             metadata={"replay": bag.metadata},
         )
-        _run(recording, output, prefixes, force, progress)
+        _run(recording, output, prefixes, force, progress, live)
         return bag.notes + bag.counted()
 
 
@@ -191,6 +193,7 @@ def _run(
     prefixes: tuple[str, ...],
     force: bool,
     progress: Callable[[float, float | None], None],
+    live: Listener | None,
 ) -> None:
     listening: dict[str, dict[str, Any]] = {suite: {} for suite in recording.sensors}
     for component in recording.estimators:
@@ -198,7 +201,7 @@ def _run(
         listening[suite][component.name] = create(component, recording.site, recording.sensors[suite])
     assemblers = {suite: Assembler() for suite in listening}
     names = [c.name for c in recording.estimators]
-    with LogWriter(output, epoch_ns=recording.epoch_ns, force=force) as writer:
+    with LogWriter(output, epoch_ns=recording.epoch_ns, force=force, listener=live) as writer:
         passing = _Passing(recording, writer, prefixes)
         topics = EstimateTopics(writer, recording.epoch_ns, names)
         for component in recording.estimators:

@@ -26,7 +26,7 @@ import numpy as np
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
 from ahrs_sim.log.reader import LogReader, quaternion, stamps, vector
-from ahrs_sim.log.writer import LogChannel, LogWriter
+from ahrs_sim.log.writer import Listener, LogChannel, LogWriter
 from ahrs_sim.review import consistency, metrics
 from ahrs_sim.sensors.records import (
     AirRecord,
@@ -502,6 +502,7 @@ class FlightLog:
         metadata: records of names and values: seeds, versions, specifications.
         force: overwrite an existing log.
         chunk_s: what a crash can cost, s.
+        listener: is given all messages, too.
 
     Raises:
         InputError: the log exists, or cannot be created.
@@ -519,9 +520,10 @@ class FlightLog:
         metadata: Mapping[str, Mapping[str, str]] | None = None,
         force: bool = False,
         chunk_s: float = 1.0,
+        listener: Listener | None = None,
     ) -> None:
         self.epoch_ns = epoch_ns
-        self.writer = writer = LogWriter(path, epoch_ns=epoch_ns, force=force, chunk_s=chunk_s)
+        self.writer = writer = LogWriter(path, epoch_ns=epoch_ns, force=force, chunk_s=chunk_s, listener=listener)
         self._origin: np.ndarray | None = None
         self._logged = Every(truth_rate / TRUTH_RATE)
         self._moved = Every(truth_rate / TF_RATE)

@@ -17,10 +17,11 @@ import dataclasses
 import queue
 import threading
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 import zstandard
@@ -48,6 +49,28 @@ _RECORD = np.dtype(
 _HEAD = _RECORD.itemsize
 _END_OF_TIME = np.iinfo(np.int64).max
 _QUEUE = 8
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic as those are told who listen while a log is being written."""
+
+    number: int
+    name: str
+    encoding: str
+    type_name: str
+    schema_encoding: str
+    schema: bytes
+
+
+class Listener(Protocol):
+    """Who is given every message of a log on its way to the file, in the order of the file (`ahrs_sim.live`)."""
+
+    def begin(self, topics: Sequence[Topic]) -> None:
+        """What topics there are; before the first message."""
+
+    def send(self, channels: np.ndarray, log_time_ns: np.ndarray, messages: Sequence[memoryview]) -> None:
+        """Messages: numbers of their topics (n,), log times (n,) ns rising, and their CDR."""
 
 
 class LogChannel:
@@ -85,6 +108,14 @@ class CarriedChannel:
         self.pending: list[np.ndarray] = []
 
 
+def _topic(channel: LogChannel | CarriedChannel) -> Topic:
+    if isinstance(channel, LogChannel):
+        text = messages.schema_text(channel.type_name).encode()
+        return Topic(channel.id, channel.topic, "cdr", channel.type_name, "ros2msg", text)
+    schema = channel.schema or Schema(id=0, name="", encoding="", data=b"")
+    return Topic(channel.id, channel.topic, channel.channel.message_encoding, schema.name, schema.encoding, schema.data)
+
+
 def _record_head(channel: int, payload: int) -> bytes:
     return MESSAGE_HEAD.pack(5, _HEAD - 9 + payload, channel, 0, 0, 0)
 
@@ -102,13 +133,21 @@ class LogWriter:
         chunk_s: length of a chunk in log time; what a crash can cost.
         force: overwrite a finished or an unfinished log of that name.
         compress: false: chunks as they are and without checksum, for a log that is read once and thrown away.
+        listener: is given all messages, too.
 
     Raises:
         InputError: the log exists, or cannot be created.
     """
 
     def __init__(
-        self, path: str | Path, *, epoch_ns: int, chunk_s: float = 1.0, force: bool = False, compress: bool = True
+        self,
+        path: str | Path,
+        *,
+        epoch_ns: int,
+        chunk_s: float = 1.0,
+        force: bool = False,
+        compress: bool = True,
+        listener: Listener | None = None,
     ) -> None:
         self.path = Path(path)
         self.part = self.path.with_name(self.path.name + SUFFIX)
@@ -116,6 +155,7 @@ class LogWriter:
         self._chunk_ns = round(chunk_s * 1e9)
         self._force = force
         self._compress = compress
+        self._listener = listener
         self._channels: list[LogChannel | CarriedChannel] = []
         self._schemas: dict[str, int] = {}
         self._metadata: dict[str, dict[str, str]] = {"log": {"epoch_ns": str(epoch_ns)}}
@@ -194,6 +234,8 @@ class LogWriter:
         self._guard(self._prologue)
         self._worker = threading.Thread(target=self._work, name=f"log {self.path.name}", daemon=True)
         self._worker.start()
+        if self._listener:
+            self._listener.begin([_topic(channel) for channel in self._channels])
 
     def _prologue(self) -> None:
         self._file = Container(self._stream, Header(profile=PROFILE, library=LIBRARY))
@@ -364,6 +406,10 @@ class LogWriter:
             parts = np.split(entries[by_channel], at_channel[1:])
             index = {int(c): part for c, part in zip(present, parts, strict=True)}
             self._put((data.data[begin:end], int(times[first]), int(times[last - 1]), index))
+        if self._listener:
+            starts, ends = starts.tolist(), ends.tolist()
+            contents = [data.data[start + _HEAD : end] for start, end in zip(starts, ends, strict=True)]
+            self._listener.send(owners, times, contents)
 
     # ------------------------------------------------------------------------------------------- the worker
 
