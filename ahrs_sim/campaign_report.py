@@ -208,6 +208,49 @@ def _over_time(report: dict[str, Any], width: int, out: io.StringIO) -> None:
         print(f"{i * report['band_s']:8.0f}" + "".join(cells), file=out)
 
 
+def drawn(report: dict[str, Any]) -> bytes | None:
+    """95 % bands over time and distributions over runs as a PNG; None without matplotlib or anything to draw."""
+    try:
+        from matplotlib.figure import Figure
+        from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+    except ImportError:
+        return None
+    estimators = report["estimators"]
+    if not estimators:
+        return None
+    figure = Figure((12, 8), layout="constrained")
+    axes = figure.subplots(2, 2, width_ratios=(2, 1))
+    for row, measure in enumerate(("tilt", "heading")):
+        over_time, over_runs = axes[row]
+        for k, (name, values) in enumerate(estimators.items()):
+            bands = {q: np.array(v, float) for q, v in values["bands"].get(measure, {}).items()}
+            if bands:
+                t = (np.arange(len(bands["median"])) + 0.5) * report["band_s"]
+                over_time.plot(t, bands["median"], color=f"C{k}", label=name)
+                over_time.fill_between(t, bands["low"], bands["high"], color=f"C{k}", alpha=0.15, linewidth=0)
+            spread = values["distribution"].get(f"{measure}_rmse_deg", {})
+            if spread.get("p50") is not None:
+                over_runs.plot([spread["p5"], spread["p95"]], [k, k], color=f"C{k}", linewidth=6, alpha=0.3)
+                over_runs.plot(spread["p50"], k, "|", color=f"C{k}", markersize=14, markeredgewidth=2)
+                over_runs.plot(spread["max"], k, ".", color=f"C{k}")
+        over_time.set(ylabel=f"{measure} error, deg", yscale="log", xlabel="s" if row else None)
+        over_runs.set(xscale="log", yticks=range(len(estimators)), yticklabels=list(estimators))
+        over_runs.set(xlabel=f"{measure} RMSE of a run, deg")
+        over_runs.invert_yaxis()
+        over_runs.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=6))
+        over_runs.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+        over_runs.xaxis.set_minor_formatter(NullFormatter())
+        for ax in (over_time, over_runs):
+            ax.grid(alpha=0.3)
+    axes[0, 0].set_title(f"{report['campaign']}: median and 95 % of {report['runs']} runs")
+    axes[0, 1].set_title("p5 to p95, median, maximum")
+    if axes[0, 0].get_legend_handles_labels()[0]:
+        axes[0, 0].legend(loc="upper left", fontsize="small")
+    picture = io.BytesIO()
+    figure.savefig(picture, dpi=110, metadata={"Software": None})
+    return picture.getvalue()
+
+
 def _cells(values: dict[str, float | None]) -> str:
     return "".join(_number(values.get(k)) for k in ("mean", "p5", "p50", "p95", "max"))
 

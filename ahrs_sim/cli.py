@@ -508,6 +508,8 @@ def _campaign(arguments: argparse.Namespace) -> int:
     text = campaign_report.text(report)
     store.write("report.json", json.dumps(report, indent=1).encode())
     store.write("report.txt", f"{text}\n".encode())
+    if picture := campaign_report.drawn(report):
+        store.write("report.png", picture)
     if not arguments.quiet:
         print(json.dumps(report, indent=1) if arguments.json else text)
     return 0 if report["failed"] < report["runs"] else 1

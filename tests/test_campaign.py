@@ -193,6 +193,7 @@ def test_fly_interrupt_and_repeat(short: Path, tmp_path: Path, capsys: pytest.Ca
     assert main(["fly", "--from", str(whole), "--run", number, "-o", str(again), "--quiet"]) == 0
     assert again.read_bytes() == log.read_bytes()
     assert "worst runs" in (whole / "report.txt").read_text()
+    assert (whole / "report.png").read_bytes().startswith(b"\x89PNG")
     assert main(["fly", "--from", str(whole), "--run", "5", "-o", str(again), "--force"]) == 2
     assert "runs are 0 to 4" in capsys.readouterr().err
 
