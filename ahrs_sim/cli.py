@@ -346,6 +346,9 @@ def _replay(arguments: argparse.Namespace) -> None:
 
     from ahrs_sim import replay
 
+    changed = arguments.map or arguments.calibrate or arguments.sync or arguments.align
+    if not (arguments.output or changed or arguments.live is not None) and _judge(arguments):
+        return
     live = _live(arguments)
     with live or contextlib.nullcontext(), tempfile.TemporaryDirectory(prefix="ahrs_sim-") as folder:
         output = arguments.output or Path(folder) / arguments.log.with_suffix(".mcap").name
@@ -374,6 +377,26 @@ def _replay(arguments: argparse.Namespace) -> None:
     print(json.dumps(result, indent=1) if arguments.json else compare.table(result))
     if arguments.output and not arguments.json:
         print(arguments.output)
+
+
+def _judge(arguments: argparse.Namespace) -> bool:
+    """Print how good estimators are on a log of ours, of which nothing has to be kept; false: not a log of ours."""
+    from ahrs_sim import replay
+
+    result = replay.judge(
+        arguments.log,
+        estimators=arguments.estimator,
+        start=arguments.start,
+        end=arguments.end,
+        progress=_Progress(f"replaying {arguments.log.name}", hidden=arguments.json),
+    )
+    if result is None:
+        return False
+    from ahrs_sim.review import compare
+
+    _Progress.clear()
+    print(json.dumps(result, indent=1) if arguments.json else compare.table(result))
+    return True
 
 
 def _compare(arguments: argparse.Namespace) -> None:

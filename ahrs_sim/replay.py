@@ -5,6 +5,7 @@
 From the records on it is the path of a flight: on a log of ours the same estimators give the same bytes again.
 """
 
+import math
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,6 +17,7 @@ import numpy as np
 import estimators as library
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.errors import InputError
+from ahrs_sim.log.reader import quaternion, stamps, vector
 from ahrs_sim.log.record import INSTRUMENTS, REFERENCE, EstimateTopics, FlightReader
 from ahrs_sim.log.writer import CarriedChannel, Listener, LogWriter
 from ahrs_sim.scenario import Component
@@ -87,7 +89,7 @@ def replay(
     if output.exists() and path.exists() and output.samefile(path):
         raise InputError(f"{output}: is the recording itself; choose another -o")
     prefixes = REFERENCES if only_estimates else ("",)
-    foreign = path.suffix in (".csv", ".ulg", ".ulog", ".db3") or path.is_dir()
+    foreign = _not_mcap(path)
     if not foreign:
         with FlightReader(path) as log:
             foreign = not is_flight(log)
@@ -130,13 +132,75 @@ def accuracy(
     return compare.compare(output, start=start, end=end, align=align)
 
 
+def judge(
+    path: Path,
+    *,
+    estimators: Sequence[str] = (),
+    start: float | None = None,
+    end: float | None = None,
+    progress: Callable[[float, float | None], None] = lambda t, end: None,
+) -> dict[str, Any] | None:
+    """Errors of estimators on a log of ours, as `replay` and `accuracy` give them, without a new log.
+
+    None: not a log of ours, or one without the truth.
+
+    Raises:
+        InputError: as `replay`, or there is nothing between start and end.
+    """
+    from ahrs_sim.review import compare
+
+    if _not_mcap(path):
+        return None
+    topics = (compare.TRUTH_TOPIC, compare.STATE_TOPIC, compare.AIR_TOPIC)
+    with FlightReader(path) as log:
+        if not is_flight(log) or any(topic not in log.topics for topic in topics):
+            return None
+
+        def truth(messages: Mapping[str, np.ndarray]) -> None:
+            imu, state, air = (messages[topic] for topic in topics)
+            n = min(map(len, (imu, state, air)))  # a recovered log may end between two topics
+            errors.truth(
+                log.seconds(stamps(imu[:n])),
+                quaternion(imu["orientation"][:n]),
+                vector(state["velocity"][:n]),
+                air["on_ground"][:n],
+            )
+
+        recording = of_flight(log, estimators, truth, *topics)
+        errors = compare.Judge([c.name for c in recording.estimators])
+        chains = _chains(recording)
+        for blocks in recording.blocks:
+            reached = 0.0
+            for suite, (assembler, listening) in chains.items():
+                samples = assembler.process(blocks[suite])
+                for name, estimator in listening.items():
+                    errors.estimates(name, estimator.process(samples))
+                if len(samples):
+                    reached = max(reached, float(samples.t[-1]))
+            progress(reached, recording.duration)
+    first, last = errors.span()
+    low, high = -math.inf if start is None else start, math.inf if end is None else end
+    if max(low, first) >= min(high, last):
+        raise InputError(f"{path}: --from/--to: the log spans {first:.1f} to {last:.1f} s")
+    return {"log": str(path), **errors.result(low=low, high=high)}
+
+
+def _not_mcap(path: Path) -> bool:
+    return path.suffix in (".csv", ".ulg", ".ulog", ".db3") or path.is_dir()
+
+
 def is_flight(log: FlightReader) -> bool:
     """Whether it is a log of ours, which knows its scenario."""
     return SCENARIO in log.attachments and "site" in log.metadata
 
 
-def of_flight(log: FlightReader, names: Sequence[str] = ()) -> Recording:
-    """A log of ours: scenario, site and data sheets from its attachments and metadata.
+def of_flight(
+    log: FlightReader,
+    names: Sequence[str] = (),
+    beside: Callable[[dict[str, np.ndarray]], None] | None = None,
+    *topics: str,
+) -> Recording:
+    """A log of ours: scenario, site and data sheets from its attachments and metadata; `FlightReader.suite_blocks`.
 
     Raises:
         InputError: an unknown estimator, or the log does not tell what estimators need.
@@ -155,7 +219,7 @@ def of_flight(log: FlightReader, names: Sequence[str] = ()) -> Recording:
         site=_known(log, "site", Site),
         sensors={suite: _known(log, f"sensors {suite}", SensorInfo) for suite in suites},
         estimators=components,
-        blocks=log.suite_blocks(suites),
+        blocks=log.suite_blocks(suites, beside, *topics),
         epoch_ns=log.epoch_ns,
         duration=(last - first) / 1e9,
         carried=log,
@@ -187,6 +251,15 @@ def create(component: Component, site: Site, sensors: SensorInfo) -> Any:
         raise InputError(f"{component.where}: {error}") from None
 
 
+def _chains(recording: Recording) -> dict[str, tuple[Assembler, dict[str, Any]]]:
+    """By suite: what makes samples, and the estimators that see them, by name."""
+    chains: dict[str, tuple[Assembler, dict[str, Any]]] = {suite: (Assembler(), {}) for suite in recording.sensors}
+    for component in recording.estimators:
+        suite = component.settings["suite"]
+        chains[suite][1][component.name] = create(component, recording.site, recording.sensors[suite])
+    return chains
+
+
 def _run(
     recording: Recording,
     output: Path,
@@ -195,11 +268,7 @@ def _run(
     progress: Callable[[float, float | None], None],
     live: Listener | None,
 ) -> None:
-    listening: dict[str, dict[str, Any]] = {suite: {} for suite in recording.sensors}
-    for component in recording.estimators:
-        suite = component.settings["suite"]
-        listening[suite][component.name] = create(component, recording.site, recording.sensors[suite])
-    assemblers = {suite: Assembler() for suite in listening}
+    chains = _chains(recording)
     names = [c.name for c in recording.estimators]
     with LogWriter(output, epoch_ns=recording.epoch_ns, force=force, listener=live) as writer:
         passing = _Passing(recording, writer, prefixes)
@@ -215,8 +284,9 @@ def _run(
                     reference: Any = block["reference"]
                     known = np.isfinite(reference.q_nb).all(axis=1)
                     topics.reference(reference.stamp_ns[known] / 1e9, reference.q_nb[known])
-                samples = assemblers[suite].process(block)
-                for name, estimator in listening[suite].items():
+                assembler, listening = chains[suite]
+                samples = assembler.process(block)
+                for name, estimator in listening.items():
                     topics.write(name, estimator.process(samples))
                 if len(samples):
                     reached = max(reached, float(samples.t[-1]))

@@ -14,6 +14,7 @@ from bag_helpers import motion, write_bag, write_ulog
 import estimators
 from ahrs_sim import pipeline, replay, scenario
 from ahrs_sim.cli import main
+from ahrs_sim.errors import InputError
 from ahrs_sim.log.reader import LogReader
 from ahrs_sim.log.record import FlightReader
 from ahrs_sim.review import compare, consistency, metrics
@@ -89,6 +90,18 @@ def test_other_estimators_on_request(flown: Path, tmp_path: Path, capsys: pytest
         assert log.metadata["estimator marg-cdkf-sbg"]["method"] == "marg-cdkf"
     assert main(["replay", str(flown), "--estimator", "ekf-sbg", "--json"]) == 0
     assert list(json.loads(capsys.readouterr().out)["estimators"]) == ["ekf-sbg"]
+
+
+def test_without_a_new_log_the_figures_are_the_same(flown: Path, tmp_path: Path) -> None:
+    replay.replay(flown, tmp_path / "again.mcap")
+    kept = replay.accuracy(tmp_path / "again.mcap", start=21.0)
+    found = replay.judge(flown, start=21.0)
+    assert kept is not None
+    assert found is not None
+    assert list(found["estimators"]) == ["ekf-chr", "ckf-chr", "ekf-sbg"]
+    assert found | {"log": ""} == kept | {"log": ""}
+    with pytest.raises(InputError, match="the log spans"):
+        replay.judge(flown, start=30.0)
 
 
 def test_what_estimators_are_told_survives_exactly(flown: Path) -> None:

@@ -15,7 +15,7 @@ ROS by `/tf_static`.
 """
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -754,11 +754,18 @@ class FlightReader(LogReader):
                 columns["temperature"][:] = np.interp(columns["stamp_ns"], stamps(array) - self.epoch_ns, kelvin)
         return kind(**columns)
 
-    def suite_blocks(self, names: Sequence[str]) -> Iterator[dict[str, SuiteBlock]]:
+    def suite_blocks(
+        self, names: Sequence[str], beside: Callable[[dict[str, np.ndarray]], None] | None = None, *topics: str
+    ) -> Iterator[dict[str, SuiteBlock]]:
         """What the instruments of several suites have sent, by suite, portion by portion in the order of arrival.
 
         Only what estimators see: states of saturation and temperatures are left out. The first suite also has the true
         attitude, as `reference`, where the log has it.
+
+        Args:
+            names: the suites.
+            beside: given, before each portion, the messages of `topics` up to the same log time (no `reference` then).
+            topics: see `beside`.
 
         Raises:
             InputError: a suite is not in this log.
@@ -766,16 +773,18 @@ class FlightReader(LogReader):
         if unknown := [name for name in names if name not in self.suites]:
             raise InputError(f"{self.path}: no suite '{unknown[0]}'{nearest(unknown[0], self.suites)}")
         heard = [(suite, i) for suite in names for i in self.suites[suite] if i in HEARD]
-        topics = {f"/{suite}{INSTRUMENTS[i][1].topic}": (suite, i) for suite, i in heard}
+        instruments = {f"/{suite}{INSTRUMENTS[i][1].topic}": (suite, i) for suite, i in heard}
         satellites = {f"/{suite}{STATUS[i].topic}": suite for suite, i in heard if i == "fix"}
-        truth = [ODOMETRY.topic] if ODOMETRY.topic in self.topics else []
-        for messages in self.blocks([*topics, *satellites, *truth]):
+        truth = [ODOMETRY.topic] if ODOMETRY.topic in self.topics and not beside else []
+        for messages in self.blocks([*instruments, *satellites, *truth, *topics]):
+            if beside:
+                beside(messages)
             found: dict[str, SuiteBlock] = {suite: {} for suite in names}
             for topic in truth:
                 found[names[0]]["reference"] = AttitudeRecord(
                     **self._columns(AttitudeRecord, ODOMETRY, messages[topic])
                 )
-            for topic, (suite, instrument) in topics.items():
+            for topic, (suite, instrument) in instruments.items():
                 kind, route = INSTRUMENTS[instrument]
                 columns = self._columns(kind, route, messages[topic])
                 if kind is FixRecord:  # one status a fix, sent with it
