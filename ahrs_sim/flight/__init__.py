@@ -7,7 +7,7 @@ import numpy as np
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
 from ahrs_sim.scenario import Scenario
 
-BLOCK_S = 2.0
+BLOCK_S = 4.0
 """s, length of a block when no estimator flies the aircraft."""
 
 
