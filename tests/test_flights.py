@@ -274,6 +274,26 @@ def test_the_aircraft_flies_on_an_estimate(tmp_path: Path) -> None:
     assert np.abs(flown.height_agl - on_truth.height_agl).max() > 0.01, "the estimate's errors are flown"
 
 
+@pytest.mark.long
+def test_closed_loop_on_estimates_flies_as_on_the_truth(tmp_path: Path) -> None:
+    """Take-off, climb and more than half a minute of the first turn."""
+    flown = {}
+    for pilot in ("truth", "ins21-chr", "ckf-air-chr"):
+        log = tmp_path / f"{pilot}.mcap"
+        estimators = ["--estimator", pilot if pilot != "truth" else "ins21-chr"]
+        assert fly("closed_loop", "-o", log, "--pilot", pilot, *estimators, "--duration", "200") == 0
+        with FlightReader(log) as reader:
+            flown[pilot] = reader.truth().height_agl
+        if pilot == "truth":
+            continue
+        figures = compare(log)["estimators"][pilot]
+        assert figures["tilt_rmse_deg"] < 1.2
+        assert figures["phases"]["turning"]["tilt_rmse_deg"] < 1.2
+        assert figures["phases"]["turning"]["samples"] > 3000
+        assert np.abs(flown[pilot] - flown["truth"]).max() < 10.0
+        assert np.abs(flown[pilot] - flown["truth"]).max() > 0.01, "the estimate's errors are flown"
+
+
 def test_a_crash_ends_the_flight_with_an_event_and_a_whole_log(tmp_path: Path) -> None:
     """The unaided filter takes the acceleration of the take-off for a pitch of tens of degrees."""
     scene, log = tmp_path / "closed.toml", tmp_path / "closed.mcap"

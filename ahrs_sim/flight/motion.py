@@ -306,9 +306,9 @@ class Road(Motion):
 class Weave(Motion):
     """An aircraft that stands, speeds up and then banks to and fro in level coordinated flight, without wind.
 
-    `still_s` (60) of standing, `speed_mps` (25) reached at 1.5 m/s2 on average, banks of `bank_deg` (30) with a
-    period of `period_s` (60), so that the heading swings about the start's; straight on after `swings` periods
-    (0: for ever). The body points along the velocity: the angle of attack is 0.
+    `still_s` (60) of standing, `speed_mps` (25) reached at 1.5 m/s2 on average, then a turn there and back again within
+    `period_s` (60) at banks of about `bank_deg` (30), and `straight_s` (0) along the start's heading, `swings` times
+    (0: for ever) and straight on. The body points along the velocity: the angle of attack is 0.
     """
 
     on_ground = False
@@ -319,7 +319,8 @@ class Weave(Motion):
         self.speed = table.number("speed_mps", 25.0, above=0.0, maximum=350.0)
         bank = math.radians(table.number("bank_deg", 30.0, minimum=0.0, maximum=70.0))
         self.period = table.number("period_s", 60.0, minimum=2.0 * self._EASE)
-        self.swings = table.integer("swings", 0, minimum=0)
+        self.cycle = self.period + table.number("straight_s", 0.0, minimum=0.0)
+        self.swings = table.integer("swings", 0, minimum=0) or math.inf
         self.heading = start.heading
         self.gravity = float(gravity_n(np.array([[start.latitude, start.longitude, start.altitude]]))[0, 2])
         self.faster = self.speed / 1.5  # s
@@ -332,9 +333,9 @@ class Weave(Motion):
     def course(self, t: Jet) -> Jet:
         """Heading, rad."""
         t = t - (self.still + self.faster)
-        window = smooth_step(t, self._EASE)
-        if self.swings:
-            window = window - smooth_step(t - (self.swings * self.period - self._EASE), self._EASE)
+        count = np.minimum(np.floor(t.x / self.cycle), self.swings - 1.0)
+        t = t - Jet(count * self.cycle, np.zeros_like(t.x), np.zeros_like(t.x))
+        window = smooth_step(t, self._EASE) - smooth_step(t - (self.period - self._EASE), self._EASE)
         return window * (1.0 - cos(t * (TAU / self.period))) * self.swing + self.heading
 
     def attitude(self, t: Jet) -> tuple[Jet, Jet, Jet]:
