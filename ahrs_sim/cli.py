@@ -422,7 +422,7 @@ def _compare(arguments: argparse.Namespace) -> None:
         titles = [f"{log}\n" if len(results) > 1 else "" for log in arguments.log]
         print("\n\n".join(title + text for title, text in zip(titles, texts, strict=True)))
     if arguments.report or arguments.png:
-        _draw(arguments, span)
+        _draw(arguments, span | {"align": arguments.align, "sync": arguments.sync})
 
 
 def _draw(arguments: argparse.Namespace, span: dict[str, Any]) -> None:

@@ -17,7 +17,7 @@ from ahrs_sim.cli import main
 from ahrs_sim.errors import InputError
 from ahrs_sim.log.reader import LogReader
 from ahrs_sim.log.record import FlightReader
-from ahrs_sim.review import compare, consistency, metrics
+from ahrs_sim.review import compare, consistency, metrics, report, traces
 
 DATA = Path(__file__).parents[1].parent / "shared" / "data"
 real = pytest.mark.skipif(not DATA.is_dir(), reason=f"real recordings are not there: {DATA}")
@@ -164,6 +164,19 @@ def test_an_ideal_bag_gives_a_tiny_error(tmp_path: Path, capsys: pytest.CaptureF
         assert len(errors) > 500
         assert np.abs(errors["total"][-300:]).max() < 1e-4
 
+    # The report of a log without a truth: no phases, no true track.
+    seen = traces.gather(out, start=26.0)
+    assert seen.reference == "/reference/imu"
+    assert len(seen.truth_t) == 0
+    (run,) = report.page([seen]).split('id="data">')[1:]
+    shown = json.loads(run.split("</script>")[0])["runs"][0]
+    assert shown["phase"] == [] and shown["truth"]["north"] is None and shown["truth"]["attitude"][0]
+    for estimator in shown["estimators"]:
+        wanted = result["estimators"][estimator["name"]]["total_rmse_deg"]
+        assert estimator["summary"]["total_rmse_deg"] == pytest.approx(wanted, rel=1e-3, abs=1e-4)
+    aligned = traces.gather(out, reference="/truth/odom", start=26.0, align="heading", sync=True)
+    assert "of 0 deg was taken out" in traces.finding(aligned, aligned.estimators[exact])
+
 
 def test_compare_takes_out_delay_and_rotation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bag, out = tmp_path / "a.mcap", tmp_path / "out.mcap"
@@ -198,8 +211,14 @@ def test_other_formats_leave_their_measurements(tmp_path: Path, capsys: pytest.C
 def test_a_bag_without_reference_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_bag(tmp_path / "a.mcap", motion(5.0))
     (tmp_path / "m.toml").write_text('[topics]\nreference = ""\n')
-    assert main(["replay", str(tmp_path / "a.mcap"), "--map", str(tmp_path / "m.toml")]) == 0
+    out = tmp_path / "out.mcap"
+    assert main(["replay", str(tmp_path / "a.mcap"), "--map", str(tmp_path / "m.toml"), "-o", str(out)]) == 0
     assert "nothing to compare with" in capsys.readouterr().err
+    assert main(["compare", str(out), "--report", str(tmp_path / "out.html")]) == 2
+    assert "nothing to compare with" in capsys.readouterr().err
+    seen = traces.gather(out, reference="/truth/odom")  # what the map did not want, a report may
+    assert len(seen.suites["bag"].fix) == pytest.approx(25, abs=1)
+    assert np.abs(seen.suites["bag"].fix).max() < 1e-3
 
 
 def test_the_guide_describes_every_table_of_a_map() -> None:

@@ -133,7 +133,8 @@ def _track(figure: "Figure", flight: FlightTraces) -> "Figure":
         if len(suite.fix):
             ax.plot(suite.fix[:, 1], suite.fix[:, 0], ".", color=f"C{7 - i}", markersize=1, label=f"{name} fixes")
     every = slice(None, None, max(1, len(flight.position) // 5000))
-    ax.plot(flight.position[every, 1], flight.position[every, 0], "k", linewidth=1, label="truth")
+    if len(flight.position):
+        ax.plot(flight.position[every, 1], flight.position[every, 0], "k", linewidth=1, label="truth")
     for e in flight.estimators.values():
         if np.isfinite(e.position).any():
             ax.plot(e.position[:, 1], e.position[:, 0], linewidth=0.9, label=e.name)

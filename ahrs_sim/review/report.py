@@ -9,6 +9,7 @@ reduces them to what a screen can show at every zoom.
 import base64
 import json
 import math
+import warnings
 import zlib
 from collections.abc import Sequence
 from importlib import resources
@@ -306,7 +307,9 @@ def _estimator(flight: FlightTraces, e: EstimatorTrace, clock: _Clock, dt: float
 
 def _summary(flight: FlightTraces, e: EstimatorTrace) -> dict[str, Any]:
     """The row of an estimator in the table: statistics over all and by phase, and its honesty."""
-    phase = flight.phase[np.clip(np.searchsorted(flight.truth_t, e.t - 1e-6), 0, len(flight.phase) - 1)]
+    phase = np.full(len(e.t), -1)
+    if len(flight.phase):
+        phase = flight.phase[np.clip(np.searchsorted(flight.truth_t, e.t - 1e-6), 0, len(flight.phase) - 1)]
     known = np.isfinite(e.nees)
     return {
         **_plain(metrics.statistics(e.error)),
@@ -335,7 +338,7 @@ def _plain(values: dict[str, float]) -> dict[str, float | None]:
 
 
 def _campaign(flights: Sequence[FlightTraces], packer: _Packer) -> dict[str, Any]:
-    """Many flights of a scenario as one: of every error the median and the middle 90 % over the flights."""
+    """Many flights of a scenario as one: of every error the median and the middle 95 % over the flights."""
     first = flights[0]
     end = min(float(f.t[-1]) for f in flights)
     clock = _Clock(max(float(f.t[0]) for f in flights), end, packer)
@@ -368,7 +371,13 @@ def _spread(flights: Sequence[FlightTraces], name: str, clock: _Clock, dt: float
     sigma: list[Any] = []
     for axis in range(3):
         grid = np.array([_gridded(e.t, np.degrees(e.error[:, axis]), clock.t0, dt, n) for e in traces])
-        spread = _percentiles(grid)
+        # Angles have no order: each is taken as its distance from the mean direction of all at that time.
+        with np.errstate(invalid="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # times without any
+            middle = np.degrees(np.angle(np.nanmean(np.exp(1j * np.radians(grid)), axis=0)))
+        known = np.isfinite(middle)
+        middle[known] = np.unwrap(middle[known], period=360.0)
+        spread = middle + _percentiles(np.degrees(metrics.wrap(np.radians(grid - middle))))
         for kept, values in zip((low, error, high), spread, strict=True):
             kept.append(clock.packer.add(values, clock.t0, dt, _fine_step(values)))
         sigmas = np.array([_gridded(e.coarse_t, np.degrees(e.sigma[:, axis]), clock.t0, dt, n) for e in traces])
@@ -400,10 +409,10 @@ def _spread(flights: Sequence[FlightTraces], name: str, clock: _Clock, dt: float
 
 
 def _percentiles(values: np.ndarray) -> np.ndarray:
-    """5, 50 and 95 % (3, n) over the rows of (k, n); NaN where fewer than half of the rows are known."""
+    """2.5, 50 and 97.5 % (3, n) over the rows of (k, n); NaN where fewer than half of the rows are known."""
     ordered = np.sort(values, axis=0)  # NaN last
     count = np.isfinite(values).sum(axis=0)
-    rows = np.rint(np.outer([0.05, 0.5, 0.95], np.maximum(count - 1, 0))).astype(int)
+    rows = np.rint(np.outer([0.025, 0.5, 0.975], np.maximum(count - 1, 0))).astype(int)
     result = np.take_along_axis(ordered, rows, axis=0)
     result[:, count < 0.5 * len(values)] = np.nan
     return np.asarray(result)

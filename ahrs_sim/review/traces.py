@@ -5,16 +5,18 @@ summed up by the second.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ahrs_sim.errors import InputError, nearest
+from ahrs_sim.bags.mapping import SUITE as BAG
+from ahrs_sim.errors import InputError
 from ahrs_sim.flight.truth import Event
 from ahrs_sim.log.reader import quaternion, stamps, vector
-from ahrs_sim.log.record import FlightReader
+from ahrs_sim.log.record import INSTRUMENTS, REFERENCE, FlightReader
 from ahrs_sim.review import compare, consistency, metrics
 from ahrs_sim.world import wgs84
 from estimators.types import Status
@@ -68,6 +70,7 @@ class EstimatorTrace:
     nis_freedom: np.ndarray  # (s,) degrees of freedom in that sum
     innovation_low: np.ndarray  # (s, 12) extremes over the second of innovation / sigma
     innovation_high: np.ndarray
+    adjusted: dict[str, Any] = field(default_factory=dict)  # what was taken out before, as `compare` tells it
 
     def worst(self, flight: "FlightTraces") -> Worst | None:
         """The ten seconds with the largest root mean square error; None when there are not as many."""
@@ -140,7 +143,9 @@ class FlightTraces:
     attachments: dict[str, str] = field(default_factory=dict)  # text by name
 
     def phase_at(self, t: float) -> str:
-        """Name of the phase at a time (s)."""
+        """Name of the phase at a time (s); empty where nobody knows."""
+        if not len(self.phase):
+            return ""
         return compare.PHASES[self.phase[np.clip(np.searchsorted(self.truth_t, t), 0, len(self.phase) - 1)]]
 
     def step_at(self, t: float) -> str:
@@ -150,14 +155,19 @@ class FlightTraces:
 
 
 def gather(
-    path: Path, *, reference: str | None = None, start: float | None = None, end: float | None = None
+    path: Path,
+    *,
+    reference: str | None = None,
+    start: float | None = None,
+    end: float | None = None,
+    align: str | None = None,
+    sync: bool = False,
 ) -> FlightTraces:
     """Read what a report needs.
 
     Args:
-        path: a log with the truth and estimates.
-        reference: an estimator of the log to compare with instead of the truth.
-        start, end: only this span, s of flight.
+        path: a log with estimates.
+        reference, start, end, align, sync: as `compare.compare` takes them.
 
     Raises:
         InputError: no log, nothing to compare in it, or an unknown reference.
@@ -167,84 +177,107 @@ def gather(
             raise InputError(
                 f"{path}: no estimates in it (no topic /est/NAME/state); replay it with an estimator first"
             )
-        if reference is not None and reference not in log.estimators:
-            raise InputError(f"{path}: --reference {reference}: no such estimator{nearest(reference, log.estimators)}")
-        columns = _columns(log)
-        t, phase = columns[compare.TRUTH_TOPIC]["t"], _phase(columns)
-        truth_q, lla = columns[compare.TRUTH_TOPIC]["q_nb"][: len(phase)], columns[compare.STATE_TOPIC]["lla"]
-        if len(phase) < 2:
-            raise InputError(f"{path}: {compare.TRUTH_TOPIC} is empty: there is nothing to compare with")
-        t, lla = t[: len(phase)], lla[: len(phase)]
-        low = float(max(t[0], -math.inf if start is None else start))
-        high = float(min(t[-1], math.inf if end is None else end))
+        columns, fixes = _columns(log)
+        t, q_nb, phase = _truth(log, columns)
+        if reference is None and not len(t) and REFERENCE.topic in log.topics:
+            reference = REFERENCE.topic
+        history = compare.History(t, q_nb) if reference is None and len(t) else compare.attitudes(log, reference)
+        first, last = (t[0], t[-1]) if len(t) else (history.t[0], history.t[-1])
+        low = float(max(first, -math.inf if start is None else start))
+        high = float(min(last, math.inf if end is None else end))
         if low >= high:
-            raise InputError(f"{path}: --from/--to: the log spans {t[0]:.1f} to {t[-1]:.1f} s")
-        reference_t, q_nb = compare.attitude(log, f"/est/{reference}/state") if reference else (t, truth_q)
-        kept, shown = (reference_t >= low) & (reference_t <= high), (t >= low) & (t <= high)
+            raise InputError(f"{path}: --from/--to: the log spans {first:.1f} to {last:.1f} s")
+        adjusted = {n: compare._adjusted(log, n, history, low, high, align, sync) for n in log.estimators}
+        kept, shown = (history.t >= low) & (history.t <= high), (t >= low) & (t <= high)
+        lla = columns[compare.STATE_TOPIC]["lla"][: len(t)] if len(t) else np.empty((0, 3))
+        origin = _origin(log, lla, columns, fixes)
         texts = {n: log.attachment(n).decode(errors="replace") for n in log.attachments if n.endswith(".toml")}
         return FlightTraces(
             path=path,
             label=path.stem,
             reference=reference or "truth",
-            t=reference_t[kept],
-            q_nb=q_nb[kept],
+            t=history.t[kept],
+            q_nb=history.q_nb[kept],
             truth_t=t[shown],
-            position=wgs84.offset_n(lla[shown], lla[0]),
-            speed=columns[compare.AIR_TOPIC]["airspeed"][: len(phase)][shown],
+            position=wgs84.offset_n(lla[shown], origin),
+            speed=columns[compare.AIR_TOPIC]["airspeed"][: len(t)][shown] if len(t) else np.empty(0),
             phase=phase[shown],
-            estimators=_estimators(log, reference_t, q_nb, lla[0], low, high),
-            suites={suite: _suite(columns, suite, lla[0], low, high) for suite in log.suites},
+            estimators=_estimators(log, adjusted, origin, low, high),
+            suites={suite: _suite(columns, suite, fix, origin, low, high) for suite, fix in fixes.items()},
             events=[e for e in log.events() if low <= e.t <= high] if "/events" in log.topics else [],
             metadata=log.metadata,
             attachments=texts,
         )
 
 
-def _columns(log: FlightReader) -> dict[str, dict[str, np.ndarray]]:
-    """By topic and name what is needed of the truth and of the suites: one pass, for uncompressing is what costs."""
+def _columns(log: FlightReader) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, str]]:
+    """By topic and name what is needed of the truth and of the suites, and each suite's topic of position fixes.
+
+    One pass, for uncompressing is what costs. What a replay has heard of a bag counts as suite `bag`.
+    """
     wanted: dict[str, Callable[[np.ndarray], dict[str, np.ndarray]]] = {
         compare.TRUTH_TOPIC: lambda m: {"q_nb": quaternion(m["orientation"])},
         compare.STATE_TOPIC: lambda m: {"lla": m["lla"], "vel_n": vector(m["velocity"])},
         compare.AIR_TOPIC: lambda m: {"airspeed": m["airspeed"], "on_ground": m["on_ground"]},
     }
-    if missing := [topic for topic in wanted if topic not in log.topics]:
+    missing = [topic for topic in wanted if topic not in log.topics]
+    if missing and compare.TRUTH_TOPIC in log.topics:
         raise InputError(f"{log.path}: no {missing[0]} in it: there is nothing to compare with")
-    for suite in log.suites:
+    fixes = {suite: f"/{suite}{INSTRUMENTS['fix'][1].topic}" for suite in log.suites}
+    if heard := log.metadata.get("replay", {}).get("topic fix"):
+        fixes[BAG] = heard.split()[0]
+    for suite, fix in fixes.items():
         wanted[f"/{suite}/imu/errors"] = lambda m: {"gyro": vector(m["gyro_bias"]), "accel": vector(m["accel_bias"])}
         wanted[f"/{suite}/gps/status"] = lambda m: {"satellites": m["satellites"].astype(float)}
-        wanted[f"/{suite}/gps/fix"] = lambda m: {
-            "lla": np.column_stack([np.radians(m["latitude"]), np.radians(m["longitude"]), m["altitude"]])
-        }
+        if fix in log.topics and log.topics[fix].type_name == INSTRUMENTS["fix"][1].type_name:
+            wanted[fix] = lambda m: {
+                "lla": np.column_stack([np.radians(m["latitude"]), np.radians(m["longitude"]), m["altitude"]])
+            }
     topics = [topic for topic in wanted if topic in log.topics]
     parts: dict[str, list[dict[str, np.ndarray]]] = {topic: [] for topic in topics}
-    for block in log.blocks(topics):
+    for block in log.blocks(topics) if topics else ():
         for topic, messages in block.items():
             parts[topic].append({"t": log.seconds(stamps(messages)), **wanted[topic](messages)})
-    return {
+    columns = {
         topic: {name: np.concatenate([b[name] for b in blocks]) for name in blocks[0]}
         for topic, blocks in parts.items()
         if blocks
     }
+    return columns, fixes
 
 
-def _phase(columns: dict[str, dict[str, np.ndarray]]) -> np.ndarray:
-    """Index into compare.PHASES (n,); a recovered log may end between two topics, the shortest counts."""
-    truth = [
-        columns.get(topic, {"t": np.empty(0)})
-        for topic in (compare.TRUTH_TOPIC, compare.STATE_TOPIC, compare.AIR_TOPIC)
-    ]
-    n = min(len(c["t"]) for c in truth)
+def _truth(log: FlightReader, columns: dict[str, dict[str, np.ndarray]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times (n,), attitudes (n, 4) and phases (n,), none where a log has no truth.
+
+    A recovered log may end between two topics, the shortest counts.
+    """
+    needed = (compare.TRUTH_TOPIC, compare.STATE_TOPIC, compare.AIR_TOPIC)
+    if compare.TRUTH_TOPIC not in log.topics:
+        return np.empty(0), np.empty((0, 4)), np.empty(0, int)
+    found = [columns.get(topic, {"t": np.empty(0)}) for topic in needed]
+    n = min(len(c["t"]) for c in found)
     if n < 2:
-        return np.empty(0, int)
-    odometry, state, air = truth
-    return compare.phases(odometry["t"][:n], odometry["q_nb"][:n], state["vel_n"][:n], air["on_ground"][:n])
+        raise InputError(f"{log.path}: {compare.TRUTH_TOPIC} is empty: there is nothing to compare with")
+    attitude, state, air = found
+    t, q_nb = attitude["t"][:n], attitude["q_nb"][:n]
+    return t, q_nb, compare.phases(t, q_nb, state["vel_n"][:n], air["on_ground"][:n])
+
+
+def _origin(
+    log: FlightReader, lla: np.ndarray, columns: dict[str, dict[str, np.ndarray]], fixes: dict[str, str]
+) -> np.ndarray:
+    """Where positions are counted from (3,): where the flight began, else the first fix; NaN: nobody knows."""
+    for places in (lla, *(columns[fix]["lla"] for fix in fixes.values() if fix in columns)):
+        if len(known := places[np.isfinite(places).all(axis=1)]):
+            return np.asarray(known[0])
+    return np.full(3, np.nan)
 
 
 class _Gathering:
     """The columns of one estimator while they come in."""
 
-    def __init__(self, t: np.ndarray, q_nb: np.ndarray, origin: np.ndarray) -> None:
-        self.t, self.q_nb, self.origin = t, q_nb, origin
+    def __init__(self, against: compare.History, origin: np.ndarray) -> None:
+        self.t, self.q_nb, self.origin = against.t, against.q_nb, origin
         self.columns: dict[str, list[np.ndarray]] = {}
         self.cell = -(2**62)
 
@@ -267,7 +300,7 @@ class _Gathering:
         cov = some["attitude_covariance"].reshape(-1, 3, 3).astype(float)
         lla = some["lla"]
         position = np.full(lla.shape, np.nan)
-        located = np.isfinite(lla).all(axis=1)
+        located = np.isfinite(lla).all(axis=1) & np.isfinite(self.origin).all()
         position[located] = wgs84.offset_n(lla[located], self.origin)
         sigma = consistency.euler_sigma(q_nb, cov)
         error = metrics.wrap(metrics.euler(q_nb) - metrics.euler(reference))
@@ -290,7 +323,7 @@ class _Gathering:
     def _put(self, name: str, values: np.ndarray) -> None:
         self.columns.setdefault(name, []).append(values)
 
-    def trace(self, name: str, suite: str) -> EstimatorTrace:
+    def trace(self, name: str, suite: str, adjusted: dict[str, Any]) -> EstimatorTrace:
         c = {key: np.concatenate(parts) for key, parts in self.columns.items()}
         second = np.maximum(np.floor(c["t"] + 1e-6), 0).astype(int)
         count = int(second.max()) + 1
@@ -302,6 +335,7 @@ class _Gathering:
         return EstimatorTrace(
             name=name,
             suite=suite,
+            adjusted=adjusted,
             nis=np.bincount(second, c.pop("nis"), count),
             nis_freedom=np.bincount(second, c.pop("freedom"), count),
             innovation_low=low,
@@ -311,10 +345,14 @@ class _Gathering:
 
 
 def _estimators(
-    log: FlightReader, t: np.ndarray, q_nb: np.ndarray, origin: np.ndarray, low: float, high: float
+    log: FlightReader,
+    against: Mapping[str, tuple[compare.History, dict[str, Any]]],
+    origin: np.ndarray,
+    low: float,
+    high: float,
 ) -> dict[str, EstimatorTrace]:
-    topics = {f"/est/{name}/state": name for name in log.estimators}
-    gathering = {name: _Gathering(t, q_nb, origin) for name in topics.values()}
+    topics = {f"/est/{name}/state": name for name in against}
+    gathering = {name: _Gathering(history, origin) for name, (history, _) in against.items()}
     for block in log.blocks(list(topics)):
         for topic, messages in block.items():
             at = log.seconds(stamps(messages))
@@ -322,19 +360,19 @@ def _estimators(
             if within.any():
                 gathering[topics[topic]].add(at[within], messages[within])
     suite = {name: log.metadata.get(f"estimator {name}", {}).get("suite", "") for name in gathering}
-    return {name: g.trace(name, suite[name]) for name, g in gathering.items() if g.columns}
+    return {name: g.trace(name, suite[name], against[name][1]) for name, g in gathering.items() if g.columns}
 
 
 def _suite(
-    columns: dict[str, dict[str, np.ndarray]], suite: str, origin: np.ndarray, low: float, high: float
+    columns: dict[str, dict[str, np.ndarray]], suite: str, fix: str, origin: np.ndarray, low: float, high: float
 ) -> SuiteTrace:
     none = {"t": np.empty(0)}
-    errors, status, fix = (columns.get(f"/{suite}/{topic}", none) for topic in ("imu/errors", "gps/status", "gps/fix"))
+    errors, status, fixes = (columns.get(t, none) for t in (f"/{suite}/imu/errors", f"/{suite}/gps/status", fix))
     cell = np.floor(errors["t"] * COARSE + 1e-6)
     rows = np.flatnonzero((np.diff(cell, prepend=-np.inf) != 0) & (errors["t"] >= low) & (errors["t"] <= high))
     heard = (status["t"] >= low) & (status["t"] <= high)
-    lla = fix.get("lla", np.empty((0, 3)))
-    lla = lla[np.isfinite(lla).all(axis=1) & (fix["t"] >= low) & (fix["t"] <= high)]
+    lla = fixes.get("lla", np.empty((0, 3)))
+    lla = lla[np.isfinite(lla).all(axis=1) & (fixes["t"] >= low) & (fixes["t"] <= high)]
     return SuiteTrace(
         t=errors["t"][rows],
         gyro_bias=errors.get("gyro", np.empty((0, 3)))[rows],
@@ -350,10 +388,8 @@ def finding(flight: FlightTraces, trace: EstimatorTrace) -> str:
     worst = trace.worst(flight)
     if worst is None:
         return "no attitude for ten seconds on end"
-    parts = [
-        f"worst from {worst.start:.0f} to {worst.end:.0f} s ({worst.phase}): {worst.axis} "
-        f"{_degrees(worst.axis_rms)} wrong"
-    ]
+    phase = f" ({worst.phase})" if worst.phase else ""
+    parts = [f"worst from {worst.start:.0f} to {worst.end:.0f} s{phase}: {worst.axis} {_degrees(worst.axis_rms)} wrong"]
     if math.isfinite(worst.sigma):
         ratio = worst.axis_rms / worst.sigma if worst.sigma > 0 else math.inf
         word = "overconfident" if ratio > 3 else "as it said" if ratio > 0.3 else "better than it said"
@@ -371,6 +407,11 @@ def finding(flight: FlightTraces, trace: EstimatorTrace) -> str:
     before = [e for e in flight.events if worst.start - 20 <= e.t <= worst.end and e.name != "pilot"]
     if before:
         parts.append(f"; shortly before: {before[-1].text} ({before[-1].t:.0f} s)")
+    if "delay_s" in trace.adjusted:
+        parts.append(f"; a delay of {trace.adjusted['delay_s']:+.3f} s was taken out")
+    if "aligned_deg" in trace.adjusted:
+        turned = " and ".join(f"{angle:.1f}" for angle in trace.adjusted["aligned_deg"] if angle > 0.05) or "0"
+        parts.append(f"; a constant rotation of {turned} deg was taken out")
     return "".join(parts)
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from ahrs_sim import cli
 from ahrs_sim.errors import InputError
-from ahrs_sim.review import compare, report
+from ahrs_sim.review import compare, metrics, report
 from ahrs_sim.review.traces import FlightTraces, finding, gather
 
 
@@ -124,10 +124,11 @@ def test_ten_estimators_for_ten_minutes_fit(traces: FlightTraces) -> None:
     assert len(report.page([flight]).encode()) < 3_000_000
 
 
-def test_flights_of_a_campaign_become_bands(traces: FlightTraces) -> None:
+@pytest.mark.parametrize("least", [1, 178])  # deg; angles beyond 180 go on at -180
+def test_flights_of_a_campaign_become_bands(traces: FlightTraces, least: int) -> None:
     flights = []
     for k in range(5):
-        error = np.radians(k + 1)
+        error = metrics.wrap(np.radians(least + k))
         shifted = {n: dataclasses.replace(e, error=np.full_like(e.error, error)) for n, e in traces.estimators.items()}
         flights.append(dataclasses.replace(traces, estimators=shifted))
     data, packed = parts(report.page(flights))

@@ -92,6 +92,7 @@
       }
       if (low > high || (s.circular && high - low > 180)) out[i] = out[i + 1] = null;
       else if (lowAt <= highAt) { out[i] = low; out[i + 1] = high; } else { out[i] = high; out[i + 1] = low; }
+      if (s.circular && i && out[i] !== null && out[i - 1] !== null && Math.abs(out[i] - out[i - 1]) > 180) out[i] = null;
     }
     return out;
   }
@@ -266,6 +267,8 @@
 
   function timeline() {
     const { ctx, w, h } = canvas("timeline"), x = (t) => (t - from) / (to - from) * w;
+    ctx.fillStyle = css("--line");
+    ctx.fillRect(0, 14, w, 8);
     for (const [a, b, phase] of focus.run.phase) {
       ctx.fillStyle = css(`--s${phase}`);
       ctx.fillRect(x(a), 14, Math.max(1, x(b) - x(a)), 8);
@@ -292,19 +295,17 @@
   let bounds;
   function track() {
     const { ctx, w, h } = canvas("track"), run = focus.run;
-    const north = series(run.truth.north), east = series(run.truth.east);
-    if (!north || !east) return;
+    const north = series(run.truth.north), east = series(run.truth.east), fixes = Object.values(run.suites).flatMap((s) => s.fix);
     if (bounds?.run !== run) {
-      bounds = { run, n: [Infinity, -Infinity], e: [Infinity, -Infinity] };
-      for (let i = 0; i < north.v.length; i++) {
-        bounds.n = [Math.min(bounds.n[0], north.v[i]), Math.max(bounds.n[1], north.v[i])];
-        bounds.e = [Math.min(bounds.e[0], east.v[i]), Math.max(bounds.e[1], east.v[i])];
-      }
+      const range = (list) => list.reduce(([a, b], x) => (Number.isFinite(x) ? [Math.min(a, x), Math.max(b, x)] : [a, b]), [Infinity, -Infinity]);
+      bounds = { run, n: range(north ? [...north.v] : fixes.map((f) => f[0])), e: range(east ? [...east.v] : fixes.map((f) => f[1])) };
     }
+    $("track-section").hidden = !Number.isFinite(bounds.n[0]);
+    if ($("track-section").hidden) return;
     const scale = Math.min((w - 40) / Math.max(20, bounds.e[1] - bounds.e[0]), (h - 40) / Math.max(20, bounds.n[1] - bounds.n[0]));
     const px = (e) => w / 2 + (e - (bounds.e[0] + bounds.e[1]) / 2) * scale, py = (n) => h / 2 - (n - (bounds.n[0] + bounds.n[1]) / 2) * scale;
     ctx.fillStyle = css("--dim"); ctx.globalAlpha = 0.35;
-    for (const suite of Object.values(run.suites)) for (const [n, e] of suite.fix) ctx.fillRect(px(e) - 0.8, py(n) - 0.8, 1.6, 1.6);
+    for (const [n, e] of fixes) ctx.fillRect(px(e) - 0.8, py(n) - 0.8, 1.6, 1.6);
     ctx.globalAlpha = 1;
     const path = (n, e, a, b, color, width) => {
       if (!n || !e) return;
@@ -324,16 +325,18 @@
     ctx.fillStyle = css("--dim"); ctx.font = "11px system-ui, sans-serif"; ctx.textBaseline = "alphabetic";
     ctx.fillRect(14, h - 14, length * scale, 2);
     ctx.fillText(`${length} m`, 14, h - 19); ctx.fillText("N ↑", w - 30, 18);
+    const at = [[north, east], [series(focus.north), series(focus.east)]].map((p) => p.map((s) => valueAt(s, now))).find((p) => p.every(Number.isFinite));
     const mark = (heading, color, fill) => {
-      ctx.save(); ctx.translate(px(valueAt(east, now)), py(valueAt(north, now))); ctx.rotate(heading * Math.PI / 180);
+      if (!at || !Number.isFinite(heading)) return;
+      ctx.save(); ctx.translate(px(at[1]), py(at[0])); ctx.rotate(heading * Math.PI / 180);
       ctx.beginPath(); ctx.moveTo(0, -11); ctx.lineTo(6.5, 8); ctx.lineTo(0, 4); ctx.lineTo(-6.5, 8); ctx.closePath();
       if (fill) { ctx.fillStyle = color; ctx.fill(); } else { ctx.strokeStyle = color; ctx.lineWidth = 2; ctx.stroke(); }
       ctx.restore();
     };
     mark(valueAt(truthOf(2), now), css("--truth"), true);
-    const estimated = valueAt(focus.attitude[2](), now);
-    if (Number.isFinite(estimated)) mark(estimated, focus.color(), false);
-    $("track-note").textContent = `height ${digits(valueAt(series(run.truth.height), now))} m above the start, airspeed ${digits(valueAt(series(run.truth.speed), now))} m/s. Filled: true heading, outline: ${focus.label}. Dots: position fixes.`;
+    mark(valueAt(focus.attitude[2](), now), focus.color(), false);
+    const flown = north ? `height ${digits(valueAt(series(run.truth.height), now))} m above the start, airspeed ${digits(valueAt(series(run.truth.speed), now))} m/s. ` : "";
+    $("track-note").textContent = `${flown}Filled: ${run.reference === "truth" ? "true heading" : "heading of " + run.reference}, outline: ${focus.label}. Dots: position fixes.`;
   }
 
   // A simple aircraft in body axes (forward, right, down): faces as lists of points.
@@ -394,7 +397,7 @@
     draw(truth, "", true);
     if (estimate.every(Number.isFinite)) draw(estimate, focus.color(), false);
     ctx.font = "12px system-ui, sans-serif"; ctx.textBaseline = "top";
-    ctx.fillStyle = css("--dim"); ctx.fillText("solid: truth", 12, 10);
+    ctx.fillStyle = css("--dim"); ctx.fillText(`solid: ${focus.run.reference}`, 12, 10);
     ctx.fillStyle = focus.color(); ctx.fillText(`outline: ${focus.label}`, 12, 26);
   }
 
@@ -456,6 +459,8 @@
 
   function phases() {
     const used = data.phases.filter((p) => estimators.some((e) => e.summary.phases[p]));
+    $("phases-section").hidden = !used.length;
+    if (!used.length) return;
     const keys = ["tilt", "heading"], value = (e, p, k) => e.summary.phases[p]?.[`${k}_rmse_deg`];
     const all = estimators.flatMap((e) => used.flatMap((p) => keys.map((k) => value(e, p, k)))).filter((v) => v > 0);
     const low = Math.log(Math.min(...all)) - 0.5, high = Math.log(Math.max(...all));
@@ -504,7 +509,7 @@
       dot.style.background = e.color();
       button.onclick = () => { e.shown = !e.shown; legend(); redraw(); track(); };
       return button;
-    }), element("span", { className: "grow" }), ...data.phases.map((phase, i) => {
+    }), element("span", { className: "grow" }), ...(focus.run.phase.length ? data.phases : []).map((phase, i) => {
       const dot = element("span", { className: "dot" });
       dot.style.background = css(`--s${i}`);
       return element("span", { className: "note" }, dot, phase);
@@ -534,7 +539,10 @@
     for (let k = 0; k < 3; k++) {
       new Plot($("errors"), {
         title: `${AXES[k]} error`, unit: "deg", height: 190, ticks: degrees,
-        lines: () => shown().map((e) => ({ label: e.label, color: e.color(), s: k === 1 ? series(e.error[k]) : circular(series(e.error[k])), width: e === focus ? 1.6 : 1.1 })),
+        lines: () => [
+          ...shown().map((e) => ({ label: e.label, color: e.color(), s: k === 1 ? series(e.error[k]) : circular(series(e.error[k])), width: e === focus ? 1.6 : 1.1 })),
+          ...(campaign && $("bands").checked ? shown() : []).flatMap((e) => [3, -3].map((n) => ({ color: e.color(), s: derived(e.part("sigma")?.[k], (s) => n * s), dash: [3, 4], width: 1, mute: true }))),
+        ],
         bands: () => shown().filter((e) => campaign || banded(e)).map((e) => {
           if (campaign) return { low: series(e.low[k]), high: series(e.high[k]), color: shadowed(e.color()) };
           const sigma = e.part("sigma")?.[k];
@@ -694,6 +702,7 @@
     `${(to - from).toFixed(0)} s`, flight.epoch ? flight.epoch.replace("T", " ").slice(0, 16) + " UTC" : "",
     Object.keys(first.provenance).filter((k) => k.startsWith("suite ")).map((k) => `${k.slice(6)} = ${first.provenance[k].grade}`).join(", "),
   ].filter(Boolean).join(" · ");
+  if (campaign) $("errors-title").textContent = "Errors: median and middle 95 % over the flights, dashed ±3σ as the estimators claim (median)";
   $("reference").textContent = first.reference === "truth" ? "the truth" : first.reference;
   controls(); build(); windows(estimators.find((e) => e.worst)); flights(); provenance();
   $("reset").disabled = true;
