@@ -123,7 +123,9 @@ def _worst(figure: "Figure", flight: FlightTraces) -> "Figure":
             ax.plot(flight.t[rows], truth[rows, k], "k--", linewidth=1.2, label=flight.reference)
             _label(ax, f"{_AXES[k]}, deg")
         _modulo(row[0])
-        row[0].set_title(f"worst of {judged.name}" + (f": {window.phase}" if window else ""), fontsize=9, loc="left")
+        row[0].set_title(
+            f"worst of {judged.name}" + (f": {window.phase}" if window and window.phase else ""), fontsize=9, loc="left"
+        )
     return _finish(figure, axes.ravel(), f"{flight.label}: the worst ten seconds of each estimator")
 
 
