@@ -428,7 +428,7 @@ class EstimateTopics:
             for name in names
         }
         self._cell = dict.fromkeys(self._channels, -(2**62))  # of PLOT_RATE, the last one plotted
-        self._unjudged: dict[str, Estimates] = {}  # plotted, but the reference has not come so far
+        self._unjudged: dict[str, tuple[np.ndarray, ...]] = {}  # t, q_nb, down_b, att_cov the reference has not reached
         self._reference = np.empty(0), np.empty((0, 4))
 
     def reference(self, t: np.ndarray, q_nb: np.ndarray) -> None:
@@ -459,28 +459,29 @@ class EstimateTopics:
         cell = np.floor(block.t * PLOT_RATE + 1e-6).astype(np.int64)
         rows = np.flatnonzero(np.diff(cell, prepend=self._cell[name]))
         self._cell[name] = int(cell[-1])
-        block = _picked(block, rows[np.isfinite(block.down_b[rows]).all(axis=1)])
-        roll, pitch = np.arctan2(block.down_b[:, 1], block.down_b[:, 2]), np.arcsin(np.clip(-block.down_b[:, 0], -1, 1))
-        heading = np.mod(metrics.euler(block.q_nb)[:, 2], 2 * np.pi)
-        times = nanoseconds(self.epoch_ns, block.t)
+        rows = rows[np.isfinite(block.down_b[rows]).all(axis=1)]
+        said: tuple[np.ndarray, ...] = block.t[rows], block.q_nb[rows], block.down_b[rows], block.att_cov[rows]
+        t, q_nb, down_b, att_cov = said
+        times = nanoseconds(self.epoch_ns, t)
+        roll, pitch = np.arctan2(down_b[:, 1], down_b[:, 2]), np.arcsin(np.clip(-down_b[:, 0], -1, 1))
+        heading = np.mod(metrics.euler(q_nb)[:, 2], 2 * np.pi)
         self.writer.write(attitude, times, times, roll=roll, pitch=pitch, heading=heading)
 
-        reached, q_nb = self._reference
         if name in self._unjudged:
-            block = Estimates.concatenate([self._unjudged[name], block])
-        wait = block.t > (reached[-1] if len(reached) > 1 else -np.inf)
-        self._unjudged[name] = _picked(block, wait & (block.t > block.t[-1:] - HOLD_S))
-        block = _picked(block, ~wait)
-        if not len(block):
+            said = tuple(np.concatenate(parts) for parts in zip(self._unjudged[name], said, strict=True))
+        t, q_nb, down_b, att_cov = said
+        reached, reference = self._reference
+        wait = t > (reached[-1] if len(reached) > 1 else -np.inf)
+        self._unjudged[name] = tuple(column[wait & (t > t[-1:] - HOLD_S)] for column in said)
+        if wait.all():
             return
-        truth = metrics.interpolate(reached, q_nb, block.t)
-        known = np.isfinite(truth).all(axis=1)
-        block, truth = _picked(block, known), truth[known]
-        error = metrics.attitude_errors(block.q_nb, block.down_b, truth)
-        sigma = consistency.euler_sigma(block.q_nb, block.att_cov)
-        columns = dict(zip(metrics.MEASURES, error.T, strict=True))
+        truth = metrics.interpolate(reached, reference, t)
+        known = ~wait & np.isfinite(truth).all(axis=1)
+        t, q_nb, down_b, att_cov, truth = t[known], q_nb[known], down_b[known], att_cov[known], truth[known]
+        columns = dict(zip(metrics.MEASURES, metrics.attitude_errors(q_nb, down_b, truth).T, strict=True))
+        sigma = consistency.euler_sigma(q_nb, att_cov)
         columns |= {f"{axis}_sigma": s for axis, s in zip(metrics.MEASURES, sigma.T, strict=False)}
-        times = nanoseconds(self.epoch_ns, block.t)
+        times = nanoseconds(self.epoch_ns, t)
         self.writer.write(errors, times, times, **columns)
 
 
