@@ -93,7 +93,7 @@ class Mcap:
         if self.reader.message_count == 0:
             refused = "no messages in it; nothing to replay"
         elif self.reader.profile not in ("ros2", ""):
-            refused = f"profile '{self.reader.profile}'; only ROS 2 bags ('ros2') can be replayed"
+            refused = f"profile {self.reader.profile!r}; only ROS 2 bags ('ros2') can be replayed"
         if refused:
             self.close()
             raise InputError(f"{path}: {refused}")

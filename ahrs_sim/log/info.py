@@ -21,6 +21,7 @@ def summary(path: str | Path) -> dict[str, Any]:
                 "topic": t.topic,
                 "type": t.type_name,
                 "encoding": t.encoding,
+                "schema_encoding": t.schema_encoding,
                 "messages": t.count,
                 "rate_hz": round((t.count - 1) / duration, 3) if t.count > 1 and duration > 0 else None,
             }
@@ -49,27 +50,43 @@ def text(path: str | Path) -> str:
     """
     s = summary(path)
     start = datetime.datetime.fromtimestamp(s["start_ns"] // 10**9, datetime.UTC)
+    profile, library = (_one_line(s[key]) or "-" for key in ("profile", "library"))
     lines = [
-        f"{s['path']}: {s['size'] / 1e6:.1f} MB, profile {s['profile'] or '-'}, written by {s['library'] or '-'}",
-        f"{start:%Y-%m-%d %H:%M:%S} UTC, {s['duration_s']:.3f} s, {s['messages']} messages",
+        f"{s['path']}: {s['size'] / 1e6:.1f} MB, profile {profile}, written by {library}",
+        f"{start:%Y-%m-%d %H:%M:%S} UTC, {s['duration_s']:.3f} s, {s['messages']} messages"
+        if s["messages"]
+        else "no messages",
         "",
     ]
     rows = [("topic", "type", "messages", "Hz")]
     for t in s["topics"]:
         rate = "" if t["rate_hz"] is None else f"{t['rate_hz']:.1f}"
-        rows.append((t["topic"], t["type"] or f"({t['encoding']})", str(t["messages"]), rate))
+        form = "" if (t["encoding"], t["schema_encoding"]) == ("cdr", "ros2msg") else _form(t)
+        kind = " ".join(word for word in (t["type"], form) if word)
+        rows.append((_one_line(t["topic"]), _one_line(kind), str(t["messages"]), rate))
     width = [max(len(row[i]) for row in rows) for i in range(4)]
     lines += [
         f"{topic:{width[0]}}  {kind:{width[1]}}  {count:>{width[2]}}  {rate:>{width[3]}}".rstrip()
         for topic, kind, count, rate in rows
     ]
     for name, values in s["metadata"].items():
-        lines += ["", f"{name}:", *(f"  {key} = {_one_line(value)}" for key, value in values.items())]
+        entries = (f"  {_one_line(key)} = {_one_line(value)}" for key, value in values.items())
+        lines += ["", f"{_one_line(name)}:", *entries]
     if s["attachments"]:
-        lines += ["", "attachments:", *(f"  {name}, {size} bytes" for name, size in s["attachments"].items())]
+        sizes = (f"  {_one_line(name)}, {size} bytes" for name, size in s["attachments"].items())
+        lines += ["", "attachments:", *sizes]
+    if any((t["encoding"], t["schema_encoding"]) != ("cdr", "ros2msg") for t in s["topics"]):
+        lines += ["", "in brackets: what is not ROS 2 ('cdr' with 'ros2msg') can be listed and carried along, not read"]
     return "\n".join(lines)
 
 
+def _form(topic: dict[str, Any]) -> str:
+    """How its messages are written, and their schema where it is another form."""
+    message, schema = topic["encoding"] or "-", topic["schema_encoding"]
+    return f"({message}, {schema})" if schema and schema != message else f"({message})"
+
+
 def _one_line(value: str) -> str:
-    line = " ".join(value.split())
+    """Other people's texts, fit for a terminal."""
+    line = "".join(c if c.isprintable() else "?" for c in " ".join(value.split()))
     return line if len(line) <= 100 else line[:97] + "..."

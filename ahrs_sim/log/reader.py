@@ -63,6 +63,10 @@ class Damaged(Exception):
     """Something in the file contradicts itself; becomes an `InputError` with the file's name."""
 
 
+class UnknownCompression(Damaged):
+    """A chunk is compressed with something else than zstd or lz4; becomes an `InputError` with the file's name."""
+
+
 class Messages(NamedTuple):
     """The messages of some channels in a piece of a file."""
 
@@ -104,6 +108,12 @@ class TopicInfo:
     type_name: str
     encoding: str
     count: int
+    schema_encoding: str = ""  # empty: without schema
+
+    @property
+    def readable(self) -> bool:
+        """Whether its messages can be decoded, by the look of it: ROS 2."""
+        return self.encoding == "cdr" and self.schema_encoding == "ros2msg"
 
 
 class LogReader:
@@ -169,7 +179,8 @@ class LogReader:
             channel = self._contents.channels[channels[0]]
             schema = self._contents.schemas.get(channel.schema_id)
             count = sum(self._contents.counts.get(c, 0) for c in channels)
-            found[topic] = TopicInfo(topic, schema.name if schema else "", channel.message_encoding, count)
+            name, encoding = (schema.name, schema.encoding) if schema else ("", "")
+            found[topic] = TopicInfo(topic, name, channel.message_encoding, count, encoding)
         return found
 
     @property
@@ -461,6 +472,10 @@ class LogReader:
         """Run `action`; whatever damage it meets becomes one `InputError`."""
         try:
             return action()
+        except UnknownCompression as error:
+            raise InputError(
+                f"{self.path}: unknown compression '{error}' (zstd and lz4 are known); compress it anew: mcap compress"
+            ) from None
         except (Damaged, CdrError, struct.error, UnicodeDecodeError, OverflowError) as error:
             reason = str(error) or type(error).__name__
             raise InputError(f"{self.path}: damaged: {reason}; 'ahrs-sim recover' saves what is whole") from None
@@ -726,7 +741,7 @@ def uncompress(chunk: memoryview) -> bytes:
     elif compression == "":
         content = bytes(data)
     else:
-        raise Damaged(f"unknown compression '{compression}'")
+        raise UnknownCompression(compression)
     if len(content) != size:
         raise Damaged("a chunk has not the size it says")
     if crc and zlib.crc32(content) != crc:

@@ -220,7 +220,7 @@ def export(path: Path, form: str, folder: Path, topics: Sequence[str] = ()) -> l
     """
     table: type[_CsvTable] | type[_ParquetTable] = _ParquetTable if form == "parquet" else _CsvTable
     with LogReader(path) as log, ExitStack() as stack:
-        chosen = list(topics) or [t.topic for t in log.topics.values() if t.count and t.encoding == "cdr"]
+        chosen = list(topics) or [t.topic for t in log.topics.values() if t.count and t.readable]
         tables: dict[str, _CsvTable | _ParquetTable] = {}
         try:
             folder.mkdir(parents=True, exist_ok=True)

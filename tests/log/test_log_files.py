@@ -20,6 +20,7 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
+from ahrs_sim.cli import main
 from ahrs_sim.errors import InputError, LogError
 from ahrs_sim.log import info, messages
 from ahrs_sim.log.cdr import encode
@@ -464,6 +465,69 @@ def test_foreign_logs(how: str, tmp_path: Path) -> None:
             with pytest.raises(InputError, match=r"no topic '/imy'; did you mean '/imu'"):
                 log.read("/imy")
         assert "/json" in info.text(found)
+
+
+def others(path: Path, profile: str = "", n: int = 20, **settings: Any) -> None:
+    """A log of other people's with nothing of ROS 2 in it but one topic whose type is in another language."""
+    kinds = {
+        "/pose": ("foxglove.PoseInFrame", "protobuf", b"\x0a\x01x", "protobuf"),
+        "/json": ("State", "jsonschema", b"{}", "json"),
+        "/ros1": ("geometry_msgs/Twist", "ros1msg", b"float64 x", "ros1"),
+        "/idl": ("sensor_msgs/msg/Imu", "ros2idl", b"module x {};", "cdr"),
+        "/odd": ("odd\x1b[31m\ntype", "?", b"\xff\xfe", "nobody's"),
+    }
+    with path.open("wb") as stream:
+        writer = mcap.writer.Writer(stream, chunk_size=500, **settings)
+        writer.start(profile=profile, library="other\nline")
+        channels = [
+            writer.register_channel(topic, message, writer.register_schema(name, form, data))
+            for topic, (name, form, data, message) in kinds.items()
+        ]
+        channels.append(writer.register_channel("/none", "cbor", 0))
+        for k in range(n):
+            for channel in channels:
+                writer.add_message(channel, EPOCH + k * 10**8, b"content", EPOCH)
+        writer.finish()
+
+
+@pytest.mark.parametrize("how", ["zstd", "unchunked", "no summary"])
+@pytest.mark.parametrize("profile", ["", "px4", "a\nb"])
+def test_info_says_what_it_can_of_anything(
+    profile: str, how: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "o.mcap"
+    others(path, profile, **FOREIGN[how])
+    lines = info.text(path).splitlines()
+    assert lines[0].endswith(f"profile {profile.replace(chr(10), ' ') or '-'}, written by other line")
+    assert lines[1].endswith("1.900 s, 120 messages")
+    rows = dict(line.split(maxsplit=1) for line in lines[4:10])
+    assert rows["/pose"].split() == ["foxglove.PoseInFrame", "(protobuf)", "20", "10.0"]
+    assert rows["/json"].split() == ["State", "(json,", "jsonschema)", "20", "10.0"]
+    assert rows["/idl"].split() == ["sensor_msgs/msg/Imu", "(cdr,", "ros2idl)", "20", "10.0"]
+    assert rows["/odd"].startswith("odd?[31m type")
+    assert rows["/none"].split() == ["(cbor)", "20", "10.0"]
+    assert "not read" in lines[-1]
+    for command in ("compare", "replay", "allan", "export --to csv -o"):
+        words = command.split()
+        assert main([*words[:1], str(path), *words[1:], *([str(tmp_path / "out")] if "-o" in words else [])]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith(f"ahrs-sim: {path}: "), command
+        assert error.count("\n") == 1, command
+
+
+def test_info_of_what_cannot_be_uncompressed_or_is_empty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    empty, path, bare = (tmp_path / name for name in ("e.mcap", "o.mcap", "b.mcap"))
+    others(empty, n=0)
+    assert "no messages" in info.text(empty)
+    for file, how in ((path, "zstd"), (bare, "no summary")):
+        others(file, **FOREIGN[how])
+        data = file.read_bytes().replace(b"\4\0\0\0zstd", b"\4\0\0\0brot")
+        end = len(data) - 37
+        file.write_bytes(data[: end + 25] + b"\0\0\0\0" + data[end + 29 :])  # no checksum of the summary
+    assert "120 messages" in info.text(path)  # the summary is not compressed
+    assert main(["info", str(bare)]) == 2
+    assert capsys.readouterr().err.startswith(f"ahrs-sim: {bare}: unknown compression 'brot'")
+    assert main(["recover", str(bare), "-o", str(tmp_path / "r.mcap")]) in (0, 2)  # never a traceback
 
 
 def test_unknown_compression_and_type(tmp_path: Path) -> None:
