@@ -114,27 +114,43 @@ class Judge:
     ) -> dict[str, Any]:
         """What `compare` returns but for the log's name, over the span from `low` to `high` (s)."""
         first, last = self.span()
-        t_phase, phase = np.empty(0), np.empty(0, int)
+        t_phase, phase = np.empty(0), np.empty(0, np.int8)
         if sum(len(part[0]) for part in self._coarse) >= 2:
             t_phase, q_nb, vel_n, on_ground = (np.concatenate(c) for c in zip(*self._coarse, strict=True))
-            phase = phases(t_phase, q_nb, vel_n, on_ground)
+            phase = phases(t_phase, q_nb, vel_n, on_ground).astype(np.int8)
         found = {}
         for name, parts in self._parts.items():
-            if parts:
-                t, errors, honesty = (np.concatenate(column) for column in zip(*parts, strict=True))
-            else:
-                t, errors, honesty = np.empty(0), np.empty((0, len(metrics.MEASURES))), np.empty((0, 3))
-            within = (t >= low) & (t <= high)
-            t, errors = t[within], errors[within]
-            found[name] = _summary(errors, phase[_row(t_phase, t)] if len(phase) else np.full(len(t), -1))
+            t, errors, honesty = _within(parts, low, high)
+            found[name] = _summary(errors, phase[_row(t_phase, t)] if len(phase) else np.full(len(t), -1, np.int8))
             if band_s is not None:
-                found[name] |= _details(t, errors, honesty[within], band_s)
+                found[name] |= _details(t, errors, np.concatenate([np.empty((0, 3)), *honesty]), band_s)
         return {
             "reference": reference,
             "from_s": max(low, first),
             "to_s": min(high, last),
             "estimators": found,
         }
+
+
+Parts = list[np.ndarray]
+"""Pieces of an array, to be joined column by column: a long flight's errors should not be in memory twice."""
+
+
+def _within(parts: list[tuple[np.ndarray, ...]], low: float, high: float) -> tuple[np.ndarray, Parts, Parts]:
+    """Times (n,), and the parts of errors and honesty, of a span."""
+    times, errors, honesty = [np.empty(0)], [], []
+    for t, e, h in parts:
+        rows = slice(int(np.searchsorted(t, low, "left")), int(np.searchsorted(t, high, "right")))
+        times.append(t[rows])
+        errors.append(e[rows])
+        honesty.append(h[rows])
+    return np.concatenate(times), errors, honesty
+
+
+def _column(errors: Parts, measure: str) -> np.ndarray:
+    """One measure of all parts, (n,) rad."""
+    k = metrics.MEASURES.index(measure)
+    return np.concatenate([np.empty(0, np.float32), *(e[:, k] for e in errors)])
 
 
 def compare(
@@ -387,7 +403,7 @@ def _honesty(block: Estimates, reference: np.ndarray) -> np.ndarray:
     return np.column_stack([nees / 3.0, *nis]).astype(np.float32)
 
 
-def _details(t: np.ndarray, errors: np.ndarray, honesty: np.ndarray, band_s: float) -> dict[str, Any]:
+def _details(t: np.ndarray, errors: Parts, honesty: np.ndarray, band_s: float) -> dict[str, Any]:
     """Mean NEES and NIS per degree of freedom, and tilt and heading RMSE (deg) of each `band_s` since t = 0."""
     freedom = float(np.nansum(honesty[:, 2]))
     known = honesty[np.isfinite(honesty[:, 0]), 0]
@@ -398,7 +414,7 @@ def _details(t: np.ndarray, errors: np.ndarray, honesty: np.ndarray, band_s: flo
     number = np.floor(t / band_s + 1e-6).astype(int)
     bands: dict[str, list[float | None]] = {}
     for measure in ("tilt", "heading"):
-        squares = np.degrees(errors[:, metrics.MEASURES.index(measure)].astype(float)) ** 2
+        squares = np.degrees(_column(errors, measure).astype(float)) ** 2
         finite = np.isfinite(squares) & (number >= 0)
         count = np.bincount(number[finite])
         total = np.bincount(number[finite], squares[finite])
@@ -406,16 +422,20 @@ def _details(t: np.ndarray, errors: np.ndarray, honesty: np.ndarray, band_s: flo
     return {**_finite(values), "bands": bands}
 
 
-def _summary(errors: np.ndarray, phase: np.ndarray) -> dict[str, Any]:
-    summary: dict[str, Any] = dict(_finite(metrics.statistics(errors)))
-    tilt = errors[:, metrics.MEASURES.index("tilt")]
-    summary["availability"] = float(np.mean(np.isfinite(tilt))) if len(tilt) else 0.0
-    summary["phases"] = {
-        name: _finite(metrics.statistics(errors[phase == i])) | {"samples": int(np.sum(phase == i))}
-        for i, name in enumerate(PHASES)
-        if np.any(phase == i)
-    }
-    return summary
+def _summary(errors: Parts, phase: np.ndarray) -> dict[str, Any]:
+    present = [i for i in range(len(PHASES)) if np.any(phase == i)]
+    summary: dict[str, Any] = {}
+    by_phase: dict[str, dict[str, Any]] = {PHASES[i]: {} for i in present}
+    for measure in metrics.MEASURES:
+        values = _column(errors, measure)
+        summary |= _finite(metrics.figures(measure, values))
+        for i in present:
+            by_phase[PHASES[i]] |= _finite(metrics.figures(measure, values[phase == i]))
+        if measure == "tilt":
+            summary["availability"] = float(np.mean(np.isfinite(values))) if len(values) else 0.0
+    for i in present:
+        by_phase[PHASES[i]]["samples"] = int(np.sum(phase == i))
+    return {**summary, "phases": by_phase}
 
 
 def _finite(values: dict[str, float]) -> dict[str, float | None]:

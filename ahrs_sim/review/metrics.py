@@ -75,18 +75,27 @@ def _vector_part(q: np.ndarray, r: np.ndarray) -> np.ndarray:
     return norm
 
 
+def figures(measure: str, errors: np.ndarray) -> dict[str, float]:
+    """RMSE, 95th percentile and maximum of |error| in deg of one measure, NaN when none is finite.
+
+    Args:
+        measure: its name.
+        errors: (n,) rad.
+    """
+    values = np.degrees(np.abs(errors[np.isfinite(errors)].astype(float)))
+    if not len(values):
+        return dict.fromkeys((f"{measure}_{s}_deg" for s in ("rmse", "p95", "max")), math.nan)
+    return {
+        f"{measure}_rmse_deg": math.sqrt(float(values @ values) / len(values)),
+        f"{measure}_p95_deg": float(np.percentile(values, 95, overwrite_input=True)),
+        f"{measure}_max_deg": float(values.max()),
+    }
+
+
 def statistics(errors: np.ndarray) -> dict[str, float]:
-    """RMSE, 95th percentile and maximum of |error| in deg per measure, NaN when there is no finite row.
+    """`figures` of all measures.
 
     Args:
         errors: (n, 5) rad, in the order of MEASURES.
     """
-    result = {}
-    for column, name in enumerate(MEASURES):
-        values = np.degrees(np.abs(errors[:, column].astype(float)))
-        values = values[np.isfinite(values)]
-        has = len(values) > 0
-        result[f"{name}_rmse_deg"] = math.sqrt(float(np.mean(values**2))) if has else math.nan
-        result[f"{name}_p95_deg"] = float(np.percentile(values, 95)) if has else math.nan
-        result[f"{name}_max_deg"] = float(values.max()) if has else math.nan
-    return result
+    return {key: value for k, m in enumerate(MEASURES) for key, value in figures(m, errors[:, k]).items()}
