@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimators.adaptation.base import admit, weigh
-from estimators.filters.base import Work, predict, project
+from estimators.filters.base import Work, correct, covariance, predict, project
 from estimators.jit import inner, njit
-from estimators.linalg import condition, healthy
+from estimators.linalg import healthy
 from estimators.models.base import (
     ROWS,
     START,
@@ -22,7 +22,6 @@ from estimators.models.base import (
     report,
     residual,
     retract,
-    size,
 )
 from estimators.rows import E_ADAPTATION, E_INNOVATION, E_VARIANCE, T
 from estimators.types import MEASUREMENTS, Status
@@ -38,7 +37,7 @@ class Carry(NamedTuple):
     """What goes on from row to row: with the model it is the whole state of an estimator."""
 
     x: np.ndarray  # (raw,) state
-    P: np.ndarray  # (n, n) its covariance
+    P: np.ndarray  # (n, n) its covariance, as the filter keeps it
     memory: np.ndarray  # (m,) of the model: latched inputs, derivatives
     clock: np.ndarray  # (1,) s, last time stamp; NaN before the first
     u: np.ndarray  # inputs of the last row
@@ -76,7 +75,7 @@ def update(
     answer: np.ndarray,
 ) -> bool:
     """All measurement groups of a row; writes the independent innovations and their variances to the estimates."""
-    S, C, y, measured, error = work.S, work.C, work.y, work.measured, work.residual
+    S, y, measured, error, noise, scratch = work.S, work.y, work.measured, work.residual, work.noise, work.scratch
     counts, spread, dx, moved = work.used, work.variance, work.dx, work.x
     ok = True  # no early return and no access to `work` in the loop: counting references costs more than the equations
     for g in range(model.groups.shape[0]):
@@ -89,8 +88,8 @@ def update(
         if any_used and ok:
             ok = project(method, model, g, x, P, u, work)
             residual(model, g, measured, y, error)
-            weigh(policy, model, g, x, u, S, error, counts, trust, work.noise)
-            ok &= condition(size(model), rows, S, C, P, error, counts, spread, dx)
+            weigh(policy, model, g, x, u, S, error, counts, trust, noise, scratch)
+            ok &= correct(method, model, g, P, work)
             for i in range(rows):
                 if counts[i] and start + i < MEASUREMENTS:
                     answer[E_INNOVATION + start + i] = error[i]
@@ -125,7 +124,7 @@ def run(
         dt = t - clock[0]
         if dt <= 0.0:
             status[k] = _COASTING
-            report(model, x, P, memory, answer)
+            report(model, x, covariance(method, P, work), memory, answer)
             continue
         clock[0] = t
         for i in range(x.shape[0]):
@@ -138,7 +137,7 @@ def run(
         for _ in range(steps):
             ok = ok and predict(method, model, x, P, u, dt / steps, work)
         state = measure(model, row, x, memory, u, z, used)
-        if admit(policy, model, row, trust, used) or dt > MAX_STEP:
+        if admit(policy, model, row, x, trust, used) or dt > MAX_STEP:
             state = _COASTING
         ok = ok and update(method, policy, model, x, P, u, z, used, trust, work, answer)
         if not (ok and healthy(x, P)):
@@ -153,4 +152,4 @@ def run(
         status[k] = state
         for i in range(4):
             answer[E_ADAPTATION + i] = trust[i]
-        report(model, x, P, memory, answer)
+        report(model, x, covariance(method, P, work), memory, answer)

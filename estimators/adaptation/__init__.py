@@ -12,7 +12,7 @@ import numpy as np
 from estimators.adaptation.base import MEMORY, SENSORS, Plain
 from estimators.types import Site
 
-_POLICIES = {"switched": "switched", "fuzzy": "fuzzy", "gate": "gating"}
+_POLICIES = {"switched": "switched", "fuzzy": "fuzzy", "gate": "gating", "magnetic": "magnetic"}
 
 
 def make(settings: Mapping[str, Any], site: Site) -> Any:

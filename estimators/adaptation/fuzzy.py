@@ -15,10 +15,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimators.adaptation.base import SENSORS, first_sensor
+from estimators.adaptation.base import SENSORS
 from estimators.generic import register
 from estimators.jit import njit
-from estimators.models.base import ROWS, measurement_noise
 from estimators.types import Site
 
 _FACTOR, _SMOOTH, _FADE = SENSORS, 2 * SENSORS, 3 * SENSORS  # in `trust`: R's factor (0: none yet), tr(C), b^(k+1)
@@ -42,49 +41,38 @@ def weight(ratio: float) -> float:
     return 1.2 + 0.5 * (min(ratio, 1.5) - 1.3)
 
 
-def _weigh(
+def _factor(
     policy: Any,
-    model: Any,
-    group: int,
-    x: np.ndarray,
-    u: np.ndarray,
+    sensor: int,
+    first: int,
+    end: int,
     S: np.ndarray,
+    noise: np.ndarray,
     error: np.ndarray,
     counts: np.ndarray,
     trust: np.ndarray,
-    noise: np.ndarray,
-) -> None:
-    rows, sensor = model.groups[group, ROWS], first_sensor(model, group)
-    for i in range(rows):
-        for j in range(rows):
-            noise[i, j] = 0.0
-    measurement_noise(model, group, x, u, noise)
-    first = 0
-    while first < rows:
-        end = min(rows, first + 3)
-        factor = trust[_FACTOR + sensor]
-        if factor == 0.0:
-            factor, trust[_FADE + sensor] = 1.0, 1.0
-        measured, predicted = 0.0, 0.0
-        for i in range(first, end):
-            if counts[i]:
-                measured += error[i] * error[i]
-                predicted += S[i, i] + factor * noise[i, i]
-        if predicted > 0.0:
-            trust[_FADE + sensor] *= policy.memory
-            share = (1.0 - policy.memory) / (1.0 - trust[_FADE + sensor])
-            smooth = trust[_SMOOTH + sensor] + share * (measured - trust[_SMOOTH + sensor])
-            trust[_SMOOTH + sensor] = smooth
-            factor = min(policy.highest, max(policy.lowest, factor * weight(smooth / predicted)))
-            trust[_FACTOR + sensor] = factor
-            trust[sensor] = 1.0 / factor
-        for i in range(first, end):
-            for j in range(i + 1):
-                S[i, j] += (factor if j >= first else 1.0) * noise[i, j]
-        first, sensor = end, sensor + 1
+    scratch: np.ndarray,
+) -> float:
+    share = trust[_FACTOR + sensor]
+    if share == 0.0:
+        share, trust[_FADE + sensor] = 1.0, 1.0
+    measured, predicted = 0.0, 0.0
+    for i in range(first, end):
+        if counts[i]:
+            measured += error[i] * error[i]
+            predicted += S[i, i] + share * noise[i, i]
+    if predicted > 0.0:
+        trust[_FADE + sensor] *= policy.memory
+        new = (1.0 - policy.memory) / (1.0 - trust[_FADE + sensor])
+        smooth = trust[_SMOOTH + sensor] + new * (measured - trust[_SMOOTH + sensor])
+        trust[_SMOOTH + sensor] = smooth
+        share = min(policy.highest, max(policy.lowest, share * weight(smooth / predicted)))
+        trust[_FACTOR + sensor] = share
+        trust[sensor] = 1.0 / share
+    return float(share)
 
 
-register(Fuzzy, weigh=_weigh)
+register(Fuzzy, factor=_factor)
 
 
 def make(settings: Mapping[str, Any], site: Site) -> Fuzzy:

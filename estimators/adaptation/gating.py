@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimators.adaptation.base import SENSORS, first_sensor
+from estimators.adaptation.base import SENSORS
 from estimators.generic import register
 from estimators.jit import njit
-from estimators.models.base import ROWS, measurement_noise
 from estimators.rows import T
 from estimators.types import Site
 
@@ -38,12 +37,20 @@ def limit(sigma: float, m: int) -> float:
 
 
 @njit
-def distance2(S: np.ndarray, error: np.ndarray, counts: np.ndarray, first: int, end: int, L: np.ndarray) -> float:
-    """`a^T S^-1 a` of the rows from `first` to `end` that count, by elimination; S lower half, `L` scratch."""
+def distance2(
+    S: np.ndarray,
+    noise: np.ndarray,
+    error: np.ndarray,
+    counts: np.ndarray,
+    first: int,
+    end: int,
+    L: np.ndarray,
+) -> float:
+    """`a^T (S + noise)^-1 a` of the rows from `first` to `end` that count, by elimination; S and noise lower halves."""
     total = 0.0
     for i in range(first, end):
         for j in range(first, i + 1):
-            L[i, j] = S[i, j]
+            L[i, j] = S[i, j] + noise[i, j]
         if i > first:
             L[first, i] = error[i]  # the first row above the diagonal keeps the residuals
     for k in range(first, end):
@@ -59,47 +66,40 @@ def distance2(S: np.ndarray, error: np.ndarray, counts: np.ndarray, first: int, 
     return total
 
 
-def _admit(policy: Any, model: Any, row: np.ndarray, trust: np.ndarray, used: np.ndarray) -> bool:
+def _admit(policy: Any, model: Any, row: np.ndarray, x: np.ndarray, trust: np.ndarray, used: np.ndarray) -> bool:
     trust[_NOW] = row[T] + 1.0
     return False
 
 
-def _weigh(
+def _factor(
     policy: Any,
-    model: Any,
-    group: int,
-    x: np.ndarray,
-    u: np.ndarray,
+    sensor: int,
+    first: int,
+    end: int,
     S: np.ndarray,
+    noise: np.ndarray,
     error: np.ndarray,
     counts: np.ndarray,
     trust: np.ndarray,
-    noise: np.ndarray,
-) -> None:
-    measurement_noise(model, group, x, u, S)
-    rows, sensor = model.groups[group, ROWS], first_sensor(model, group)
-    first = 0
-    while first < rows:
-        end = min(rows, first + 3)
-        m = 0
-        for i in range(first, end):
-            m += 1 if counts[i] else 0
-        if m > 0:
-            fits = distance2(S, error, counts, first, end, noise) <= limit(policy.sigma, m)
-            since = trust[_SINCE + sensor]
-            if fits:
-                trust[_SINCE + sensor] = 0.0
-            elif since == 0.0:
-                trust[_SINCE + sensor] = since = trust[_NOW]
-            refused = not fits and trust[_NOW] - since < policy.patience
-            trust[sensor] = 0.0 if refused else 1.0
-            if refused:
-                for i in range(first, end):
-                    counts[i] = False
-        first, sensor = end, sensor + 1
+    scratch: np.ndarray,
+) -> float:
+    m = 0
+    for i in range(first, end):
+        m += 1 if counts[i] else 0
+    if m == 0:
+        return 1.0
+    fits = distance2(S, noise, error, counts, first, end, scratch) <= limit(policy.sigma, m)
+    since = trust[_SINCE + sensor]
+    if fits:
+        trust[_SINCE + sensor] = 0.0
+    elif since == 0.0:
+        trust[_SINCE + sensor] = since = trust[_NOW]
+    refused = not fits and trust[_NOW] - since < policy.patience
+    trust[sensor] = 0.0 if refused else 1.0
+    return 0.0 if refused else 1.0
 
 
-register(Gate, admit=_admit, weigh=_weigh)
+register(Gate, admit=_admit, factor=_factor)
 
 
 def make(settings: Mapping[str, Any], site: Site) -> Gate:

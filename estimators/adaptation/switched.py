@@ -25,7 +25,7 @@ class Switched(NamedTuple):
     gravity: float  # m/s2
 
 
-def _admit(policy: Any, model: Any, row: np.ndarray, trust: np.ndarray, used: np.ndarray) -> bool:
+def _admit(policy: Any, model: Any, row: np.ndarray, x: np.ndarray, trust: np.ndarray, used: np.ndarray) -> bool:
     x, y, z = row[ACCEL], row[ACCEL + 1], row[ACCEL + 2]
     off = abs(math.sqrt(x * x + y * y + z * z) / policy.gravity - 1.0) > policy.accel
     off |= abs(row[GYRO + 2]) > policy.turn_rate

@@ -1,14 +1,16 @@
 """What a filter supplies: how a mean and a covariance go through a nonlinear function.
 
 A filter is a `NamedTuple` of its parameters with `predict` and `project` registered for its type. All else (measurement
-noise, adaptation, conditioning, recovery) is the same for every filter and lives in `estimators.run`.
+noise, adaptation, recovery) is the same for every filter and lives in `estimators.run`. What a filter keeps of its
+covariance is its own business: P itself unless it registers `stored`, `covariance` and `correct` (`square_root`).
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimators.generic import generic
+from estimators.generic import default, generic
+from estimators.linalg import condition
 from estimators.models.base import READ, ROWS, changed, read, size
 
 
@@ -28,13 +30,17 @@ class Work(NamedTuple):
     J: np.ndarray  # (rows, n) a Jacobian
     T: np.ndarray  # (rows, n) its product with P
     S: np.ndarray  # (rows, rows) covariance of the measurements
-    noise: np.ndarray  # (rows, rows) measurement noise, for an adaptation that weighs it
+    noise: np.ndarray  # (rows, rows) measurement noise as the adaptation weighs it, lower half
+    scratch: np.ndarray  # (rows, rows) of the adaptation
     C: np.ndarray  # (rows, n) covariance of measurements and state
     y: np.ndarray  # (rows,) predicted measurements
     measured: np.ndarray  # (rows,)
     residual: np.ndarray  # (rows,)
     variance: np.ndarray  # (rows,)
     used: np.ndarray  # (rows,) bool
+    Q: np.ndarray  # (n, n) process noise     }
+    A: np.ndarray  # columns to be compressed } of square-root filters
+    P: np.ndarray  # (n, n) covariance        }
 
     @classmethod
     def make(cls, model: Any, raw: int) -> "Work":
@@ -49,8 +55,9 @@ class Work(NamedTuple):
         return cls(
             x=zeros(raw), point=zeros(raw), moved=zeros(raw), dx=zeros(n), L=zeros(n, columns),
             odd=zeros(columns, rows), even=zeros(columns, rows), shift=zeros(rows), plus=zeros(rows), minus=zeros(rows),
-            J=zeros(rows, n), T=zeros(rows, n), S=zeros(rows, rows), noise=zeros(rows, rows), C=zeros(rows, n),
-            y=zeros(rows), measured=zeros(rows), residual=zeros(rows), variance=zeros(rows), used=np.zeros(rows, bool),
+            J=zeros(rows, n), T=zeros(rows, n), S=zeros(rows, rows), noise=zeros(rows, rows), scratch=zeros(rows, rows),
+            C=zeros(rows, n), y=zeros(rows), measured=zeros(rows), residual=zeros(rows), variance=zeros(rows),
+            used=np.zeros(rows, bool), Q=zeros(n, n), A=zeros(rows + n, n + columns + 1 + max(n, rows)), P=zeros(n, n),
         )  # fmt: skip
 
 
@@ -67,5 +74,45 @@ def project(  # type: ignore[empty-body]
 ) -> bool:
     """Joint moments of a measurement group and the state, without measurement noise.
 
-    `work.y[:rows]` mean, `work.S[:rows, :rows]` covariance (lower half), `work.C[:rows]` covariance with the state.
+    `work.y[:rows]` mean, `work.S[:rows, :rows]` covariance (lower half), `work.C[:rows]` covariance with the state
+    (of that only what the filter's own `correct` reads).
     """
+
+
+@generic
+def correct(method: Any, model: Any, group: int, P: np.ndarray, work: Work) -> bool:  # type: ignore[empty-body]
+    """Condition P on the measurements of a group that count, after `project`; False when that is impossible.
+
+    Takes `work.noise`, `work.residual` and `work.used`; leaves the correction in `work.dx`, independent innovations in
+    `work.residual` and their variances in `work.variance`.
+    """
+
+
+@generic
+def stored(method: Any, P: np.ndarray) -> np.ndarray:  # type: ignore[empty-body]
+    """What the filter keeps of a covariance P (n, n), itself (n, n)."""
+
+
+@generic
+def covariance(method: Any, P: np.ndarray, work: Work) -> np.ndarray:  # type: ignore[empty-body]
+    """The covariance (n, n) from what the filter keeps."""
+
+
+@default
+def _correct(method: Any, model: Any, group: int, P: np.ndarray, work: Work) -> bool:
+    rows, S, noise = model.groups[group, ROWS], work.S, work.noise
+    for i in range(rows):
+        for j in range(i + 1):
+            S[i, j] += noise[i, j]
+    ok: bool = condition(size(model), rows, S, work.C, P, work.residual, work.used, work.variance, work.dx)
+    return ok
+
+
+@default
+def _stored(method: Any, P: np.ndarray) -> np.ndarray:
+    return P
+
+
+@default
+def _covariance(method: Any, P: np.ndarray, work: Work) -> np.ndarray:
+    return P

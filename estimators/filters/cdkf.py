@@ -19,9 +19,10 @@ class Cdkf(NamedTuple):
     h: float = 3.0**0.5
 
 
-def _rule(method: Any, n: int) -> tuple[float, float, float]:
+def rule_of(method: Any, n: int) -> tuple[float, float, float]:
+    """`rule` of `points`."""
     h2 = method.h * method.h
     return method.h, (h2 - 1.0) / (4.0 * h2 * h2), 0.0
 
 
-register(Cdkf, predict=predict_points, project=project_points, rule=_rule)
+register(Cdkf, predict=predict_points, project=project_points, rule=rule_of)

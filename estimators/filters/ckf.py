@@ -17,8 +17,9 @@ class Ckf(NamedTuple):
     """No parameters."""
 
 
-def _rule(method: Any, n: int) -> tuple[float, float, float]:
+def rule_of(method: Any, n: int) -> tuple[float, float, float]:
+    """`rule` of `points`."""
     return n**0.5, 0.25 / n, -1.0
 
 
-register(Ckf, predict=predict_points, project=project_points, rule=_rule)
+register(Ckf, predict=predict_points, project=project_points, rule=rule_of)

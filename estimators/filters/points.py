@@ -67,12 +67,14 @@ def rule(method: Any, n: int) -> tuple[float, float, float]:  # type: ignore[emp
     """`(h, even, square)` of a filter for a state of n components."""
 
 
-def predict_points(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarray, dt: float, work: Work) -> bool:
-    """Time update (paper 000 eq. (2)-(6))."""
+@inner
+def propagate_points(
+    method: Any, model: Any, x: np.ndarray, u: np.ndarray, dt: float, work: Work
+) -> tuple[float, float, float]:
+    """Points of `work.L` through `propagate`: x becomes the mean, `work.odd` d, `work.even` s, `work.shift` delta."""
     n, moved, columns = size(model), changed(model), read(model)
     h, even, square = rule(method, n)
     L, d, s, shift, plus, minus, dx = work.L, work.odd, work.even, work.shift, work.plus, work.minus, work.dx
-    ok: bool = leading_cholesky(n, P, columns, L)  # when it is not, the results are void; an early return costs time
     centre = work.x
     propagate(model, x, u, dt, centre)
     for a in range(moved):
@@ -98,6 +100,15 @@ def predict_points(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.
         shift[a] *= 0.5 / (h * h)
         dx[a] = shift[a]
     retract(model, centre, dx, x)
+    return h, even, square
+
+
+def predict_points(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarray, dt: float, work: Work) -> bool:
+    """Time update (paper 000 eq. (2)-(6))."""
+    n, moved, columns = size(model), changed(model), read(model)
+    L, d, s, shift = work.L, work.odd, work.even, work.shift
+    ok: bool = leading_cholesky(n, P, columns, L)  # when it is not, the results are void; an early return costs time
+    h, even, square = propagate_points(method, model, x, u, dt, work)
     spread(d, s, shift, columns, moved, 0.25 / (h * h), even, square, P)
     for j in range(moved, n):
         for a in range(moved):
@@ -124,14 +135,15 @@ def project_points(
 
 
 @inner
-def _project_nonlinear(
-    method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work
-) -> bool:
+def observe_points(
+    method: Any, model: Any, group: int, x: np.ndarray, u: np.ndarray, work: Work
+) -> tuple[float, float, float]:
+    """Points of `work.L` through `observe`: `work.y` becomes the mean, the rest as in `propagate_points`."""
     n, rows, columns = size(model), model.groups[group, ROWS], model.groups[group, READ]
     h, even, square = rule(method, n)
-    L, d, s, shift, plus, minus, dx = work.L, work.odd, work.even, work.shift, work.plus, work.minus, work.dx
-    ok: bool = leading_cholesky(n, P, columns, L)
-    y, C = work.y, work.C
+    L, d, s, shift, plus, minus, dx, y = (
+        work.L, work.odd, work.even, work.shift, work.plus, work.minus, work.dx, work.y,
+    )  # fmt: skip
     observe(model, group, x, u, y)
     for a in range(rows):
         shift[a] = 0.0
@@ -152,11 +164,20 @@ def _project_nonlinear(
             shift[a] += s[i, a]
     for a in range(rows):
         shift[a] *= 0.5 / (h * h)
-        for j in range(n):
-            C[a, j] = 0.0
-    spread(d, s, shift, columns, rows, 0.25 / (h * h), even, square, work.S)
-    for a in range(rows):
         y[a] += shift[a]
+    return h, even, square
+
+
+@inner
+def _project_nonlinear(
+    method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work
+) -> bool:
+    n, rows, columns = size(model), model.groups[group, ROWS], model.groups[group, READ]
+    L, d, C = work.L, work.odd, work.C
+    ok: bool = leading_cholesky(n, P, columns, L)
+    h, even, square = observe_points(method, model, group, x, u, work)
+    spread(d, work.even, work.shift, columns, rows, 0.25 / (h * h), even, square, work.S)
+    for a in range(rows):
         for j in range(n):
             total = 0.0
             for i in range(min(j + 1, columns)):

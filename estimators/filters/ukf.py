@@ -25,10 +25,11 @@ class Ukf(NamedTuple):
     kappa: float = 0.0
 
 
-def _rule(method: Any, n: int) -> tuple[float, float, float]:
+def rule_of(method: Any, n: int) -> tuple[float, float, float]:
+    """`rule` of `points`."""
     alpha2 = method.alpha * method.alpha
     h2 = alpha2 * (n + method.kappa)
     return h2**0.5, 0.25 / h2, method.beta - alpha2
 
 
-register(Ukf, predict=predict_points, project=project_points, rule=_rule)
+register(Ukf, predict=predict_points, project=project_points, rule=rule_of)

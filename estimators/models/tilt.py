@@ -143,6 +143,10 @@ def _three(model: Any) -> int:
     return 3
 
 
+def _no_magnetometer(model: Any) -> tuple[int, int, int]:
+    return 0, 0, 0
+
+
 register(
     Tilt,
     size=_three,
@@ -158,6 +162,7 @@ register(
     measurement_noise=_measurement_noise,
     constrain=_constrain,
     report=_report,
+    magnetic=_no_magnetometer,
 )
 
 

@@ -273,7 +273,9 @@ def test_the_gate_counts_as_chi_square():
         used = np.array([1, 1, 1, *counts], bool)
         rows = 3 + np.flatnonzero(counts)
         expected = error[rows] @ np.linalg.solve(S[np.ix_(rows, rows)], error[rows])
-        assert gating.distance2(S, error, used, 3, 6, np.empty((6, 6))) == pytest.approx(expected, rel=1e-9)
+        assert gating.distance2(S - np.eye(6), np.eye(6), error, used, 3, 6, np.empty((6, 6))) == pytest.approx(
+            expected, rel=1e-9
+        )
 
 
 def test_sensors_are_counted_through_the_groups():

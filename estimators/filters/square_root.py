@@ -1,0 +1,239 @@
+"""Sigma-point filters that keep the Cholesky factor S of the covariance P = S S^T (van der Merwe and Wan 2001).
+
+The points are x +- h S e_i as ever, but no covariance is formed to be factored again: what a filter needs is written as
+the columns of a matrix A with A A^T = P, and A is compressed to a square by orthogonal transformations (QR),
+
+    time update           A = [ d_i/(2h), S e_i | e_i | r delta | Q^(1/2) ]                     -> S
+    measurement update    A = [ d_i/(2h)   e_i   r delta   R^(1/2) ]       [ S_y  0  ]
+                              [ S e_i      0     0         0       ]   ->  [ K   S^+ ]
+
+with the pairs d_i, s_i and delta of `points` and e_i = sqrt(even) (s_i - mean of s), r^2 = 4 h^4 even/columns + square:
+the sums of `points` without a negative weight (r^2 is at least 0 for the CKF and the CDKF, and for the UKF whenever
+kappa is), so nothing is ever subtracted and P cannot become indefinite. Rounding counts half the digits: variances may
+span 1e24 where the plain form has 1e12. `carry.P` holds S.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from estimators.filters import cdkf, ckf, ukf
+from estimators.filters.base import Work
+from estimators.filters.points import observe_points, propagate_points
+from estimators.generic import register
+from estimators.jit import inner, njit
+from estimators.models.base import LINEAR, READ, ROWS, changed, observe, process_noise, read, size, slope
+
+
+class SrCkf(NamedTuple):
+    """No parameters."""
+
+
+class SrCdkf(NamedTuple):
+    """Parameter: the interval of the central differences."""
+
+    h: float = 3.0**0.5
+
+
+class SrUkf(NamedTuple):
+    """Parameters."""
+
+    alpha: float = 1.0
+    beta: float = 2.0
+    kappa: float = 0.0
+
+
+@njit
+def triangularise(A: np.ndarray, rows: int, columns: int) -> None:
+    """`A[:rows, :columns]` = lower triangle with the same A A^T, by Householder reflections from the right."""
+    for k in range(rows):
+        norm2 = 0.0
+        for j in range(k, columns):
+            norm2 += A[k, j] * A[k, j]
+        tail2 = norm2 - A[k, k] * A[k, k]
+        if not tail2 > 0.0:
+            continue
+        norm = math.sqrt(norm2)
+        pivot = -norm if A[k, k] > 0.0 else norm
+        head = A[k, k] - pivot
+        scale = 1.0 / (-pivot * head)  # 2 over the square of the reflection's vector (head, A[k, k+1:])
+        for i in range(k + 1, rows):
+            total = A[i, k] * head
+            for j in range(k + 1, columns):
+                total += A[i, j] * A[k, j]
+            total *= scale
+            A[i, k] -= total * head
+            for j in range(k + 1, columns):
+                A[i, j] -= total * A[k, j]
+        A[k, k] = pivot
+        for j in range(k + 1, columns):
+            A[k, j] = 0.0
+
+
+@njit
+def append_root(M: np.ndarray, n: int, A: np.ndarray, at: int) -> None:
+    """Lower Cholesky factor of a covariance M (n, n; lower half, may be singular) into `A[:n, at:at + n]`."""
+    for j in range(n):
+        pivot = M[j, j]
+        for k in range(j):
+            pivot -= A[j, at + k] ** 2
+        pivot = math.sqrt(pivot) if pivot > 0.0 else 0.0
+        for i in range(n):
+            if i < j or pivot == 0.0:
+                A[i, at + j] = 0.0
+            elif i == j:
+                A[i, at + j] = pivot
+            else:
+                rest = M[i, j]
+                for k in range(j):
+                    rest -= A[i, at + k] * A[j, at + k]
+                A[i, at + j] = rest / pivot
+
+
+@inner
+def _take_factor(A: np.ndarray, row: int, column: int, n: int, S: np.ndarray) -> None:
+    """`S` (n, n) = the triangle of A that begins there, diagonal not negative."""
+    for j in range(n):
+        sign = -1.0 if A[row + j, column + j] < 0.0 else 1.0
+        for i in range(n):
+            S[i, j] = sign * A[row + i, column + j] if i >= j else 0.0
+
+
+@inner
+def _centre(s: np.ndarray, shift: np.ndarray, columns: int, rows: int, h: float, even: float, square: float) -> bool:
+    """Turn s into e and `shift` into r delta, see above; False when the filter's parameters make r^2 negative."""
+    r2 = 4.0 * h**4 * even / columns + square
+    root, r = math.sqrt(even), math.sqrt(max(r2, 0.0))
+    for a in range(rows):
+        mean = 2.0 * h * h * shift[a] / columns
+        for i in range(columns):
+            s[i, a] = root * (s[i, a] - mean)
+        shift[a] *= r
+    return r2 > -1e-9
+
+
+def _predict(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarray, dt: float, work: Work) -> bool:
+    n, moved, columns = size(model), changed(model), read(model)
+    L, d, e, shift, A, Q = work.L, work.odd, work.even, work.shift, work.A, work.Q
+    for i in range(n):
+        for j in range(columns):
+            L[i, j] = P[i, j]
+    h, even, square = propagate_points(method, model, x, u, dt, work)
+    ok: bool = _centre(e, shift, columns, moved, h, even, square)
+    for i in range(n):
+        for j in range(n):
+            A[i, j] = P[i, j]
+            Q[i, j] = 0.0
+        for j in range(columns):
+            if i < moved:
+                A[i, j] = d[j, i] * (0.5 / h)
+            A[i, n + j] = e[j, i] if i < moved else 0.0
+        A[i, n + columns] = shift[i] if i < moved else 0.0
+    process_noise(model, x, u, dt, Q)
+    append_root(Q, n, A, n + columns + 1)
+    triangularise(A, n, 2 * n + columns + 1)
+    _take_factor(A, 0, 0, n, P)
+    return ok
+
+
+def _project(method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work) -> bool:
+    n, rows, columns = size(model), model.groups[group, ROWS], model.groups[group, READ]
+    L, d, e, shift, S = work.L, work.odd, work.even, work.shift, work.S
+    ok = True
+    if model.groups[group, LINEAR] == 1:
+        observe(model, group, x, u, work.y)
+        slope(model, group, x, u, work.J)
+        for a in range(rows):
+            shift[a] = 0.0
+            for i in range(columns):
+                total = 0.0
+                for k in range(max(i, model.groups[group, 2]), columns):
+                    total += work.J[a, k] * P[k, i]
+                d[i, a], e[i, a] = total, 0.0
+    else:
+        for i in range(n):
+            for j in range(columns):
+                L[i, j] = P[i, j]
+        h, even, square = observe_points(method, model, group, x, u, work)
+        ok = _centre(e, shift, columns, rows, h, even, square)
+        for a in range(rows):
+            for i in range(columns):
+                d[i, a] *= 0.5 / h
+    for a in range(rows):
+        for b in range(a + 1):
+            total = shift[a] * shift[b]
+            for i in range(columns):
+                total += d[i, a] * d[i, b] + e[i, a] * e[i, b]
+            S[a, b] = total
+    return ok
+
+
+def _correct(method: Any, model: Any, group: int, P: np.ndarray, work: Work) -> bool:
+    n, rows, columns = size(model), model.groups[group, ROWS], model.groups[group, READ]
+    A, d, e, shift, counts = work.A, work.odd, work.even, work.shift, work.used
+    error, variance, dx, noise, S = work.residual, work.variance, work.dx, work.noise, work.S
+    q = 0
+    for a in range(rows):
+        if counts[a]:
+            for i in range(n):
+                A[q, i] = d[i, a] if i < columns else 0.0
+            for i in range(columns):
+                A[q, n + i] = e[i, a]
+            A[q, n + columns] = shift[a]
+            p = 0
+            for b in range(a + 1):
+                if counts[b]:
+                    S[q, p] = noise[a, b]
+                    p += 1
+            q += 1
+    append_root(S, q, A, n + columns + 1)
+    for i in range(n):
+        dx[i] = 0.0
+        for j in range(n):
+            A[q + i, j] = P[i, j]
+        for j in range(n, n + columns + 1 + q):
+            A[q + i, j] = 0.0
+    triangularise(A, q + n, n + columns + 1 + q)
+    k, ok = 0, True
+    for a in range(rows):
+        if counts[a]:
+            left, p = error[a], 0
+            for b in range(a):
+                if counts[b]:
+                    left -= A[k, p] * error[b] / A[p, p]
+                    p += 1
+            ok &= abs(A[k, k]) > 0.0
+            error[a], variance[a] = left, A[k, k] * A[k, k]
+            for i in range(n):
+                dx[i] += A[q + i, k] * left / A[k, k]
+            k += 1
+    _take_factor(A, q, q, n, P)
+    return ok
+
+
+def _stored(method: Any, P: np.ndarray) -> np.ndarray:
+    return np.linalg.cholesky(P)
+
+
+def _covariance(method: Any, P: np.ndarray, work: Work) -> np.ndarray:
+    out = work.P
+    for i in range(P.shape[0]):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(j + 1):
+                total += P[i, k] * P[j, k]
+            out[i, j] = out[j, i] = total
+    return out
+
+
+for _type, _plain in ((SrCkf, ckf), (SrCdkf, cdkf), (SrUkf, ukf)):
+    register(
+        _type,
+        predict=_predict,
+        project=_project,
+        correct=_correct,
+        stored=_stored,
+        covariance=_covariance,
+        rule=_plain.rule_of,
+    )
