@@ -9,7 +9,8 @@ import numpy as np
 from estimators import adaptation
 from estimators.alignment import ALIGNING, LAST, STILL, Start, Stretch, align, conclude, limits
 from estimators.errors import EstimationError, SampleError
-from estimators.filters.base import Work
+from estimators.filters.base import Work, stored
+from estimators.latency import to_gyro_time, to_stamp_time
 from estimators.rows import ESTIMATE_WIDTH, pack, unpack
 from estimators.run import Carry, first_bad_stamp, run
 from estimators.types import Estimates, Samples, SensorInfo, Site
@@ -79,6 +80,10 @@ class FilterEstimator:
                 Nothing of the block has been used then.
         """
         rows = pack(samples)
+        delays = self.sensors.gyro_delay, self.sensors.accel_delay, self.sensors.mag_delay
+        late = any(delays)
+        if late:
+            to_gyro_time(rows, *delays)
         last = self._stretch.clock[LAST] if self._carry is None else self._carry.clock[0]
         bad = first_bad_stamp(rows, last)
         if bad >= 0:
@@ -97,6 +102,8 @@ class FilterEstimator:
                 self._begin(still=phase == STILL)
         if done < n:
             run(self._method, self._policy, self._model, self._carry, self._work, rows, out, status, done)
+            if late:
+                to_stamp_time(rows, out, done, self.sensors.gyro_delay)
         return unpack(out, status)
 
     def _begin(self, still: bool) -> None:
@@ -105,13 +112,13 @@ class FilterEstimator:
         self._model = start.model
         self._carry = Carry(
             x=start.x,
-            P=start.P,
+            P=stored(self._method, start.P),
             memory=start.memory,
             clock=np.full(1, np.nan),
             u=np.zeros(start.inputs),
             z=np.zeros(start.measurements),
             used=np.zeros(start.measurements, bool),
-            P_restart=start.P_restart,
+            P_restart=stored(self._method, start.P_restart),
             trust=adaptation.fresh(),
         )
         self._work = Work.make(self._model, len(start.x))
