@@ -58,7 +58,9 @@ _START = {
 def _adaptation(default: str = "none", turn_deg: float = 2.0, accel: float = 0.02) -> dict[str, Setting]:
     """Settings of `estimators.adaptation`, for any method."""
     return {
-        "adaptation": Setting(default, "how far measurements are trusted", ("none", "switched", "fuzzy", "gate")),
+        "adaptation": Setting(
+            default, "how far measurements are trusted", ("none", "switched", "fuzzy", "gate", "magnetic")
+        ),
         "switch_turn_rate": Setting(math.radians(turn_deg), "rad/s, switched: turning above it", above=0.0),
         "switch_accel": Setting(accel, "switched: accelerating when |f|/g is further than that from 1", above=0.0),
         "fuzzy_memory": Setting(0.98, "fuzzy: b, forgetting of the innovations", minimum=0.9, maximum=0.9999),
@@ -66,6 +68,11 @@ def _adaptation(default: str = "none", turn_deg: float = 2.0, accel: float = 0.0
         "fuzzy_highest": Setting(1e6, "fuzzy: most, in multiples of the variance", minimum=1.0),
         "gate_sigma": Setting(4.0, "gate: innovations beyond are refused", above=0.0),
         "gate_patience": Setting(5.0, "s, gate: refused so long without a break, believed again", minimum=0.0),
+        "magnetic_norm": Setting(0.06, "magnetic: the field's strength is that far from the known one", above=0.0),
+        "magnetic_dip": Setting(0.07, "rad, magnetic: its dip likewise", above=0.0),
+        "magnetic_turn": Setting(0.12, "rad, magnetic: its direction likewise, as the gyro has carried it", above=0.0),
+        "magnetic_hold": Setting(1.0, "s, magnetic: refused so long after it was last disturbed", minimum=0.0),
+        "magnetic_patience": Setting(30.0, "s, magnetic: refused so long without a break, believed again", minimum=0.0),
     }
 
 
@@ -84,6 +91,11 @@ _MARG = {
     "bias_walk": Setting(3e-5, "rad/s per sqrt(s), random walk of the gyro bias", minimum=0.0),
     "speed_filter": Setting(0.5, "s, time constant of the derivative of the airspeed", above=0.0),
     "speed_min": Setting(8.0, "m/s, below it the airspeed may be wind on the ground: not used", minimum=0.0),
+    "incidence": Setting(
+        0.05, "rad, angle of attack without vane; aeroplanes cruise at 2 to 4 deg", minimum=-0.3, maximum=0.3
+    ),
+    "scale_share": Setting(0.4, "practical: of the gyro's scale error, noise that grows with the rate", minimum=0.0),
+    "scale_time": Setting(5.0, "s, practical: how long a rate lasts: correlation of that noise", above=0.0),
     "unaided_factor": Setting(11.0, "on the accelerometer's variance while the aid is silent", minimum=1.0),
     **_adaptation(),
 }
@@ -92,6 +104,9 @@ _FILTERS = {
     "ckf": "estimators.filters.ckf:Ckf",
     "cdkf": "estimators.filters.cdkf:Cdkf",
     "ukf": "estimators.filters.ukf:Ukf",
+    "srckf": "estimators.filters.square_root:SrCkf",
+    "srcdkf": "estimators.filters.square_root:SrCdkf",
+    "srukf": "estimators.filters.square_root:SrUkf",
 }
 
 
@@ -103,6 +118,7 @@ def _ins(aiding: str, states: str = "21", accel_noise: float = 0.05) -> dict[str
         "states": Setting(
             states, "15, or 21 with gyro scale and hard iron (and the wind with gnss+airspeed)", ("15", "21")
         ),
+        "heading_aid": Setting(True, "use the dual-antenna heading where there is one"),
         "gyro_noise": Setting(1e-3, "rad/s/sqrt(Hz), beside the data sheet's: vibration", minimum=0.0),
         "scale_share": Setting(0.4, "of the gyro's scale error, left as noise that grows with the rate", minimum=0.0),
         "scale_time": Setting(5.0, "s, how long a rate lasts: correlation of that noise", above=0.0),
@@ -114,12 +130,15 @@ def _ins(aiding: str, states: str = "21", accel_noise: float = 0.05) -> dict[str
         "bias_time": Setting(300.0, "s, correlation of the in-run biases", above=0.0),
         "velocity_share": Setting(1.5, "of the receiver's velocity sigma", above=0.0),
         "position_share": Setting(3.0, "of the receiver's position sigma, whose error is correlated", above=0.0),
-        "heading_share": Setting(5.0, "of the dual-antenna sigma, whose error is correlated", above=0.0),
+        "heading_share": Setting(10.0, "of the dual-antenna sigma, whose error is correlated", above=0.0),
         "mag_share": Setting(6.0, "of the hard iron left over: noise of the field's direction", minimum=0.0),
         "mag_sigma": Setting(0.02, "rad, besides, of the direction of the field", above=0.0),
         "norm_scale": Setting(0.05, "relative error of the field's norm that doubles the noise", above=0.0),
         "dip_scale": Setting(0.1, "rad, error of the dip that doubles the noise", above=0.0),
         "speed_sigma": Setting(1.0, "m/s, of the airspeed along the body", above=0.0),
+        "incidence": Setting(
+            0.05, "rad, angle of attack without vane; aeroplanes cruise at 2 to 4 deg", minimum=-0.3, maximum=0.3
+        ),
         "side": Setting(0.1, "of the airspeed, sideways, without vane", above=0.0),
         "vertical": Setting(0.15, "of the airspeed, downwards, without vane", above=0.0),
         "speed_min": Setting(8.0, "m/s, below it the airspeed may be wind on the ground: not used", minimum=0.0),
@@ -204,6 +223,18 @@ _METHODS = (
     Method(
         "marg-ukf", "Unscented Kalman filter on quaternion, body rate and gyro bias", _OWN,
         "estimators.filters.ukf:Ukf", "estimators.models.marg", {**_MARG, **_UKF}, tuple(_UKF),
+    ),
+    Method(
+        "marg-srckf", "marg-ckf in square-root form: keeps the Cholesky factor of the covariance", _OWN,
+        "estimators.filters.square_root:SrCkf", "estimators.models.marg", _MARG,
+    ),
+    Method(
+        "marg-srcdkf", "marg-cdkf in square-root form", _OWN,
+        "estimators.filters.square_root:SrCdkf", "estimators.models.marg", {**_MARG, **_CDKF}, ("h",),
+    ),
+    Method(
+        "marg-srukf", "marg-ukf in square-root form", _OWN,
+        "estimators.filters.square_root:SrUkf", "estimators.models.marg", {**_MARG, **_UKF}, tuple(_UKF),
     ),
     Method(
         "fakf", "Attitude error and gyro bias, noise of each sensor adapted to its innovations (fuzzy)", _PAPER_2,

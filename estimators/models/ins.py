@@ -17,7 +17,8 @@ Aids (`models.base` groups):
     magnetic   heading only (tilt columns zero, for every filter: a disturbed field must not tilt the horizon); norm and
                dip away from the local field inflate the noise
     heading    dual-antenna baseline, also with latency
-    airspeed   C_bn (v - wind) = (V, 0, 0), wide across; without GNSS v itself is the velocity in the air mass
+    airspeed   C_bn (v - wind) = V (cos i, 0, sin i), i the incidence of cruise, wide across; without GNSS v itself is
+               the velocity in the air mass
 
 Gyro noise grows with the rate, since what scale and misalignment leave behind is correlated over a manoeuvre, and with
 what is too fast for the sampling: after a hard landing the heading is open again. Accelerometer noise grows with the
@@ -146,8 +147,10 @@ class _Parameters(NamedTuple):
     side: float  # of V
     vertical: float  # of V
     speed_min: float  # m/s
+    incidence: float  # rad
     use_gnss: int
     use_air: int
+    use_heading: int
     pseudo: int
 
 
@@ -511,7 +514,7 @@ def _measure(
             z[i] = z[3 + i] = 0.0
             u[_VAR + i] = u[_VAR + 3 + i] = 1.0
             used[i] = used[3 + i] = True
-    told = row[HEADING_NEW] != 0.0 and plausible(row[HEADING], 100.0)
+    told = model.use_heading == 1 and row[HEADING_NEW] != 0.0 and plausible(row[HEADING], 100.0)
     if told and _recall(memory, newest, row[HEADING_T], then):
         z[_Z_DUAL] = row[HEADING] + (memory[newest + 7] - then[6])
         sigma = model.heading_factor * row[HEADING_SIGMA]
@@ -611,7 +614,7 @@ def _measure_air(
     if plausible(alpha, 1.5):
         vertical = 0.03
     else:
-        alpha = 0.0
+        alpha = model.incidence
     z[_Z_AIR] = speed * math.cos(alpha) * math.cos(beta)
     z[_Z_AIR + 1] = speed * math.sin(beta)
     z[_Z_AIR + 2] = speed * math.sin(alpha) * math.cos(beta)
@@ -662,6 +665,10 @@ def _eighteen(model: Any) -> int:
     return 18
 
 
+def _magnetic(model: Any) -> tuple[int, int, int]:
+    return _Z_MAG, _Z_MAG + 1, 2  # reported where nothing else is
+
+
 for _type, _size, _read in (
     (Ins15, _fifteen, _fifteen),
     (Ins21, _twenty_one, _eighteen),
@@ -685,13 +692,14 @@ for _type, _size, _read in (
         difference=_difference,
         constrain=_constrain,
         report=_report,
+        magnetic=_magnetic,
     )
 
 
 def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignment: Alignment) -> Start:
     """The model and its first state from settings (see the catalogue), place, sensors and alignment."""
     aid = settings["aiding"]
-    n = {"15": 15, "21": 21}[settings["states"]]
+    n = int(settings["states"])
     use_gnss, use_air = int("gnss" in aid), int("airspeed" in aid)
     if use_gnss and use_air:
         n = 24
@@ -710,7 +718,9 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
     initial = np.zeros(n)
     still = alignment.still
     initial[PHI : PHI + 3] = alignment.sigma_n
-    initial[V : V + 3] = 0.1 if still else 30.0
+    velocity, place = (alignment.vel_n, alignment.lla) if use_gnss else (alignment.air_n, np.full(3, np.nan))
+    known = bool(np.isfinite(velocity).all())  # moving, and told how fast
+    initial[V : V + 3] = 0.1 if still else 3.0 if known else 30.0
     initial[P_ : P_ + 3] = 100.0 if use_gnss else 1.0
     initial[BG : BG + 3] = alignment.gyro_bias_sigma
     initial[BA : BA + 3] = math.hypot(sensors.accel_bias, sensors.accel_scale * site.gravity, 1e-3)
@@ -724,7 +734,8 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
         walks[WIND - 9 : WIND - 7], walks[WIND - 7] = settings["wind_walk"] ** 2, (0.3 * settings["wind_walk"]) ** 2
     x = np.zeros(RAW)[: n + 1].copy()
     x[0:4] = alignment.q_nb
-    x[7:10] = site.lla
+    x[4:7] = velocity if known else 0.0
+    x[7:10] = place if np.isfinite(place).all() else site.lla
     x[10:13] = alignment.gyro_bias
     wind_in_velocity = settings["wind_walk"] ** 2 if use_air and not use_gnss else 0.0
     model = kind(
@@ -754,8 +765,10 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
         side=settings["side"],
         vertical=settings["vertical"],
         speed_min=settings["speed_min"],
+        incidence=settings["incidence"],
         use_gnss=use_gnss,
         use_air=use_air,
+        use_heading=int(settings["heading_aid"]),
         pseudo=int(aid == "none"),
     )  # fmt: skip
     memory = np.full(MEMORY, np.nan)

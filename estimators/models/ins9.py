@@ -339,6 +339,10 @@ def _nine(model: Any) -> int:
     return 9
 
 
+def _no_magnetometer(model: Any) -> tuple[int, int, int]:
+    return 0, 0, 0
+
+
 def _disturbed(model: Any) -> tuple[int, int, int]:
     return _Z_COURSE, _Z_COURSE + 1, 3
 
@@ -362,6 +366,7 @@ register(
     constrain=_constrain,
     report=_report,
     disturbed=_disturbed,
+    magnetic=_no_magnetometer,
 )
 
 
@@ -388,7 +393,10 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
     C_bn = np.empty((3, 3))
     attitude_matrix(alignment.q_nb, C_bn)
     P[ATTITUDE, ATTITUDE] = C_bn @ np.diag(alignment.sigma_n**2) @ C_bn.T + 1e-10 * np.eye(3)
-    speed = 0.1 if alignment.still else 30.0
+    known = bool(np.isfinite(alignment.vel_n).all() and np.isfinite(alignment.lla).all())
+    if known:
+        x[4:7], x[7:10] = alignment.lla, alignment.vel_n
+    speed = 0.1 if alignment.still else 3.0 if known else 30.0
     P[PLACE, PLACE], P[VELOCITY, VELOCITY] = (10.0 if alignment.still else 1e3) ** 2 * np.eye(3), speed**2 * np.eye(3)
     P_restart[ATTITUDE, ATTITUDE] = 0.4 * np.eye(3)
     P_restart[PLACE, PLACE], P_restart[VELOCITY, VELOCITY] = 1e6 * np.eye(3), 900.0 * np.eye(3)

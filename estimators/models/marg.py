@@ -9,9 +9,16 @@ with G = (0, 0, -g), M the local field. The paper takes the accelerometer for a 
 turn; with `aiding` the known motion is added, f_b = C_bn(q) (G + a_n) + w x v_b + dv_b/dt:
 
     none       a_n = v_b = 0: the paper
-    airspeed   v_b = V (cos alpha cos beta, sin beta, sin alpha cos beta), V the true airspeed, angles 0 where no vane
-               is fitted; dV/dt from a first-order filter; below `speed_min` it may be wind on the ground: v_b = 0
+    airspeed   v_b = V (cos alpha cos beta, sin beta, sin alpha cos beta), V the true airspeed, beta 0 and alpha
+               `incidence` where no vane is fitted; dV/dt from a first-order filter; below `speed_min` it may be wind on
+               the ground: v_b = 0
     gnss       a_n = difference of successive GNSS velocities, turned by the body rate from its own time to now
+
+With practical noise the covariance is honest in two more ways. What scale and misalignment of the gyro leave behind in
+a turn is noise that grows with the rate, of variance 2 tau (k |w|)^2 per second. And what no average removes is
+reported on top (a Schmidt filter's "considered" errors, without their correlation): bias, scale and misalignment of the
+accelerometer in the tilt, and in a turn the airspeed's scale times w V; hard iron, and that tilt times the dip, in the
+heading. Ten states cannot learn any of them.
 
 When the aid falls silent for `AID_TIMEOUT` the accelerometer's noise is raised by `unaided_factor` (status COASTING).
 """
@@ -34,6 +41,7 @@ from estimators.rows import (
     ALPHA,
     BETA,
     E_COV,
+    E_DOWN,
     E_GYRO_BIAS,
     E_GYRO_SIGMA,
     E_Q,
@@ -80,6 +88,12 @@ class Marg(NamedTuple):
     speed_filter: float  # s, time constant of dV/dt
     speed_min: float  # m/s
     unaided_factor: float  # on R_accel while the aid is silent
+    incidence: float  # rad, angle of attack without vane
+    rate_noise: float  # s, 2 tau k^2: attitude noise that grows with the rate
+    fixed_tilt: float  # rad2, of errors that no average removes
+    fixed_heading: float  # rad2, likewise, without what comes from the tilt
+    dip_slope: float  # tangent of the field's dip: heading error per tilt error
+    speed_scale: float  # relative error of the airspeed
 
 
 def _propagate(model: Any, x: np.ndarray, u: np.ndarray, dt: float, out: np.ndarray) -> None:
@@ -116,8 +130,9 @@ def _transition(model: Any, x: np.ndarray, u: np.ndarray, dt: float, F: np.ndarr
 
 
 def _process_noise(model: Any, x: np.ndarray, u: np.ndarray, dt: float, P: np.ndarray) -> None:
+    turning = 0.25 * model.rate_noise * (x[4] * x[4] + x[5] * x[5] + x[6] * x[6])
     for i in range(4):
-        P[i, i] += model.q_noise * dt
+        P[i, i] += (model.q_noise + turning) * dt
     for i in range(3):
         for j in range(3):
             P[4 + i, 4 + j] += model.Q_rate[i, j] * dt
@@ -219,7 +234,7 @@ def _load_air(model: Any, row: np.ndarray, memory: np.ndarray, u: np.ndarray) ->
             memory[_V_SLOW] += (1.0 - math.exp(-age / model.speed_filter)) * (speed - memory[_V_SLOW])
         memory[_V_DOT] = (speed - memory[_V_SLOW]) / model.speed_filter
         memory[_V] = speed
-        memory[_ALPHA] = row[ALPHA] if math.isfinite(row[ALPHA]) else 0.0
+        memory[_ALPHA] = row[ALPHA] if math.isfinite(row[ALPHA]) else model.incidence
         memory[_BETA] = row[BETA] if math.isfinite(row[BETA]) else 0.0
         memory[_AID_T] = t
     speed, speed_up = memory[_V], memory[_V_DOT]
@@ -270,6 +285,25 @@ def _report(model: Any, x: np.ndarray, P: np.ndarray, memory: np.ndarray, row: n
             row[E_COV + 8] = 4.0 * (-d * pa + c * pb - b * pc + a * pd)
         row[E_GYRO_BIAS + i] = x[7 + i]
         row[E_GYRO_SIGMA + i] = math.sqrt(P[7 + i, 7 + i])
+    if model.fixed_tilt > 0.0:
+        _report_fixed(model, x, memory, row)
+
+
+@inner
+def _report_fixed(model: Any, x: np.ndarray, memory: np.ndarray, row: np.ndarray) -> None:
+    """Add C_bn diag(t, t, h) C_nb of the fixed errors to the covariance of a row."""
+    tilt = model.fixed_tilt
+    if model.aiding == AIR and memory[_V] >= model.speed_min:
+        rate2 = x[4] * x[4] + x[5] * x[5] + x[6] * x[6]
+        tilt += rate2 * (model.speed_scale * memory[_V] / model.gravity_n[2]) ** 2
+    heading = model.fixed_heading + tilt * model.dip_slope**2
+    down = np.empty(3)
+    for i in range(3):
+        down[i] = row[E_DOWN + i]
+    for i in range(3):
+        row[E_COV + 4 * i] += tilt
+        for j in range(3):
+            row[E_COV + 3 * i + j] += (heading - tilt) * down[i] * down[j]
 
 
 def _size(model: Any) -> int:
@@ -312,7 +346,7 @@ _FLOOR = (1e-5, 1e-11, 1e-7)  # m/s2, T, rad/s: no sensor of a ground phase is t
 def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignment: Alignment) -> Start:
     """The model and its first state from settings (see the catalogue), place, sensors and alignment."""
     aiding = {"none": NONE, "airspeed": AIR, "gnss": GNSS}[settings["aiding"]]
-    noise = settings["noise"]
+    noise, practical = settings["noise"], 0.0
     if noise == "auto":
         noise = "from-ground" if aiding == NONE else "practical"
     if noise == "from-ground" and alignment.still:
@@ -327,6 +361,8 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
         R_accel, R_mag = settings["accel_sigma"] ** 2 * np.eye(3), settings["mag_sigma"] ** 2 * np.eye(3)
         R_gyro = max(_FLOOR[2] ** 2, sensors.gyro_noise**2 * sensors.rate / 2) * np.eye(3)
         Q_rate = settings["rate_noise"] ** 2 * np.eye(3)
+        practical = 1.0
+    horizontal = math.hypot(site.mag_n[0], site.mag_n[1])
     model = Marg(
         groups=np.array(_GROUPS[aiding], np.int64),
         gravity_n=np.array([0.0, 0.0, -site.gravity]),
@@ -341,6 +377,12 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
         speed_filter=settings["speed_filter"],
         speed_min=settings["speed_min"],
         unaided_factor=settings["unaided_factor"],
+        incidence=settings["incidence"],
+        rate_noise=practical * 2.0 * settings["scale_time"] * (settings["scale_share"] * sensors.gyro_scale) ** 2,
+        fixed_tilt=practical * ((sensors.accel_bias / site.gravity) ** 2 + sensors.accel_scale**2),
+        fixed_heading=practical * (sensors.mag_bias / horizontal) ** 2,
+        dip_slope=abs(site.mag_n[2]) / horizontal,
+        speed_scale=sensors.airspeed_scale,
     )
     x, P, P_restart = np.zeros(10), np.zeros((10, 10)), np.zeros((10, 10))
     P_restart[ATTITUDE, ATTITUDE] = 0.1 * np.eye(4)

@@ -10,7 +10,7 @@ from estimators.alignment import Stretch, conclude
 from estimators.models import marg
 from estimators.models.base import observe, propagate, slope, transition
 
-SETTINGS = {"align_s": 2.0, "noise": "practical"}
+SETTINGS = {"align_s": 2.0, "noise": "practical", "scale_share": 0.0}
 
 
 def swaying(n=2210, seed=3, **options):
