@@ -198,7 +198,7 @@ def compare(
         told: dict[str, dict[str, Any]] = {name: {} for name in names}
         if reference is not None or align is not None or sync:
             history = attitudes(log, reference)
-            adjusted = {name: _adjusted(log, name, history, low, high, align, sync) for name in names}
+            adjusted = {name: aligned(log, name, history, low, high, align, sync) for name in names}
             against = {name: a for name, (a, _) in adjusted.items()}
             told = {name: t for name, (_, t) in adjusted.items()}
         elif not has_truth:
@@ -306,7 +306,7 @@ def orientations(log: FlightReader, topic: str) -> History:
     return History(t, q_nb[first])
 
 
-def _adjusted(
+def aligned(
     log: FlightReader, name: str, against: History, low: float, high: float, align: str | None, sync: bool
 ) -> tuple[History, dict[str, Any]]:
     """The reference without a constant delay and rotation against an estimator, and what these were."""

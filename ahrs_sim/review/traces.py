@@ -187,7 +187,7 @@ def gather(
         high = float(min(last, math.inf if end is None else end))
         if low >= high:
             raise InputError(f"{path}: --from/--to: the log spans {first:.1f} to {last:.1f} s")
-        adjusted = {n: compare._adjusted(log, n, history, low, high, align, sync) for n in log.estimators}
+        adjusted = {n: compare.aligned(log, n, history, low, high, align, sync) for n in log.estimators}
         kept, shown = (history.t >= low) & (history.t <= high), (t >= low) & (t <= high)
         lla = columns[compare.STATE_TOPIC]["lla"][: len(t)] if len(t) else np.empty((0, 3))
         origin = _origin(log, lla, columns, fixes)
