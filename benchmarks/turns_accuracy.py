@@ -1,0 +1,230 @@
+"""Tilt and heading in sustained turns: every filter and every peer on the same flights, on seeds not used in tuning.
+
+    python benchmarks/turns_accuracy.py [--seeds 101..120] [--peers 3] [--duration 400] [--markdown docs/accuracy.md]
+
+Flies `turns` and `circuit` (30 and 45 deg of bank) in 5 m/s of wind and light turbulence, each seed once with all
+estimators on it. A figure is the RMS over flights from 80 s on; "worst" is the worst seed's tilt over it; NEES and
+NIS are means per degree of freedom. The row with an outage counts its 60 s only, all of them in a turn. The peers of
+plain Python are slow: they fly with the first `--peers` seeds only (0: none).
+"""
+
+import argparse
+import math
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ahrs_sim import pipeline, scenario
+from ahrs_sim.review import compare
+
+SCENARIOS, SUITES = ("turns", "circuit"), ("chr", "sbg")
+START, OUTAGE, OUTAGE_S = 80.0, 240.0, 60.0
+WORST = 1.6
+PEERS = ("vqf", "imufusion", "madgwick", "mahony", "ahrs-ekf")
+
+# key: what it is, settings, goals by suite (tilt, heading; deg), bounds of NEES
+ROWS: dict[str, tuple[str, dict[str, Any], tuple[tuple[float, float], ...], tuple[float, float]]] = {
+    "paper": ("`marg-ckf` as the paper says", {"method": "marg-ckf"}, (), (0.0, math.inf)),
+    "ekf-air": (
+        "`marg-ekf`, airspeed aided",
+        {"method": "marg-ekf", "aiding": "airspeed"},
+        ((1.1, 2.0), (0.45, 0.75)),
+        (0.0, 3.0),
+    ),
+    "ckf-air": (
+        "`marg-ckf`, airspeed aided",
+        {"method": "marg-ckf", "aiding": "airspeed"},
+        ((1.1, 2.0), (0.45, 0.75)),
+        (0.0, 3.0),
+    ),
+    "air-ins": ("`air-ins`", {"method": "air-ins", "heading_aid": False}, ((0.75, 1.2), (0.38, 0.68)), (0.0, 3.0)),
+    "ins15": ("`ins15`", {"method": "ins15", "heading_aid": False}, ((0.85, 1.4), (0.2, 0.3)), (0.0, 3.0)),
+    "ins21": ("`ins21`", {"method": "ins21", "heading_aid": False}, ((0.6, 0.6), (0.15, 0.25)), (0.5, 2.0)),
+    "dual": ("`ins21` and dual antenna", {"method": "ins21"}, ((0.6, 0.35), (0.15, 0.22)), (0.5, 2.0)),
+    "outage": (
+        "`ins21` and airspeed, 60 s without GNSS in a turn",
+        {"method": "ins21", "aiding": "gnss+airspeed", "heading_aid": False},
+        ((0.9, 1.3), (0.3, 0.5)),
+        (0.0, 3.0),
+    ),
+}
+
+INTRO = """# Accuracy in turns
+
+Made by `python benchmarks/turns_accuracy.py --markdown docs/accuracy.md`; do not edit.
+
+{flights}. RMS over flights from {start:.0f} s on, tilt / heading in degrees; "worst seed" is the tilt of the worst
+seed over that RMS (goal: {worst} at most). NEES and NIS are means per degree of freedom, 1 for an honest filter.
+{peers}
+"""
+
+NOTES = """
+## Where a goal is missed, and why
+
+The goals were set on a prototype with its own sensors; the grades here say what each unit's data sheet says
+(`ahrs-sim list grades`), every axis of scale, misalignment and hard iron drawn anew for each seed. Terms on alone,
+the first 340 s of `turns`, seeds 1 to 3, CHR, tilt / heading in degrees:
+
+| term | `air-ins` | `ins21` | `marg-*`, airspeed aided |
+|---|---|---|---|
+| none of those below (noise, turbulence, vibration) | 0.35 / 0.26 | 0.14 / 0.12 | 0.21 / 0.25 |
+| scale of the gyro | 0.39 / 0.26 | 0.15 / 0.15 | 0.37 / 0.73 |
+| misalignment of the gyro | 0.55 / 0.44 | 0.37 / 0.44 | 0.34 / 0.44 |
+| bias of the gyro | 0.45 / 0.52 | 0.25 / 0.30 | 0.32 / 0.49 |
+| bias of the accelerometer | 0.40 / 0.33 | 0.17 / 0.14 | 0.26 / 0.35 |
+| misalignment of the accelerometer | 0.57 / 0.68 | 0.36 / 0.30 | 0.44 / 0.71 |
+| hard iron | 0.35 / 0.39 | 0.14 / 0.17 | 0.54 / 0.50 |
+| soft iron, scale and misalignment of the magnetometer | 0.36 / 0.77 | 0.20 / 0.35 | 0.55 / 0.79 |
+| airspeed: scale, place of the ports, bias | 0.77 / 0.39 | 0.14 / 0.12 | 0.43 / 0.57 |
+| all | 1.05 / 1.28 | 0.59 / 0.59 | 0.92 / 1.62 |
+
+* **`air-ins`** believes the airspeed: V w is its whole centripetal acceleration, and an airspeed that is k too large
+  banks it by k sin cos of the bank, 0.25 deg per percent at 30 degrees. The grade's pitot (4 % of pressure, 2 % place
+  of the ports, 3 Pa) is good to 2.4 %. States for the airspeed's scale and direction were tried and made it worse (they
+  trade with the accelerometer's bias); no setting of its noise improved the tilt by more than 3 % (seeds 1 to 3).
+* **`marg-*`** weighs the gyro more and is fooled less by the pitot, but has no bias of the accelerometer to learn.
+* **Misalignment of the accelerometer** is the floor of every navigator's tilt, and through the dip of its heading:
+  along with the airframe it is an attitude like any other, which only turns tell apart, slowly.
+* **Dual antenna**: its multipath wanders (0.18 deg over 60 s) and the baseline is mounted to 0.15 deg: 0.24 deg is
+  all that it knows; a goal below needs a calibrated installation.
+* **NIS** far below 1 is meant: the noise of GNSS place, field, baseline and airspeed is set to what their correlated
+  errors do over many samples (`*_share` settings), so that single innovations are smaller than told. It makes the
+  lower bound of 0.5 one for NEES only; NEES is the test of the covariance.
+
+The covariance of `marg-*` was 10 to 17 times too small (NEES, CHR) while it knew only white noise; noise that grows
+with the rate and the errors that no average removes (`estimators/models/marg.py`) make it honest.
+"""
+
+
+def estimators(peers: bool) -> dict[str, dict[str, Any]]:
+    """`[estimator]` tables of all rows."""
+    tables: dict[str, dict[str, Any]] = {}
+    for suite in SUITES:
+        for key, (_, settings, _, _) in ROWS.items():
+            tables[f"{key}-{suite}"] = {**settings, "suite": f"{suite}-out" if key == "outage" else suite}
+        for name in PEERS if peers else ():
+            tables[f"{name}-{suite}"] = {"method": name, "suite": suite}
+            tables[f"{name}-air-{suite}"] = {"method": name, "suite": suite, "aiding": "airspeed"}
+    return tables
+
+
+def flight(name: str, seed: int, duration: float | None, peers: bool) -> dict[str, dict[str, Any]]:
+    """Figures of every estimator of one flight, as `compare` has them, nothing logged."""
+    known = scenario.load(name).data
+    known.pop("catalogue", None)
+    suites = known["suite"]
+    data = known | {
+        "suite": suites | {f"{s}-out": suites[s] for s in SUITES},
+        "wind": known["wind"] | {"speed_mps": 5.0, "at_20ft_mps": 5.0},
+        "fault": [
+            {"suite": f"{s}-out", "sensor": "gnss", "kind": "jamming", "at_s": OUTAGE, "for_s": OUTAGE_S}
+            for s in SUITES
+        ],
+        "estimator": estimators(peers),
+    }
+    if name != "turns":  # where else it turns when the satellites go is chance
+        data["estimator"] = {k: v for k, v in data["estimator"].items() if not k.startswith("outage")}
+    judge = compare.Judge(list(data["estimator"]), honesty=True)
+    pipeline.fly(scenario.parse(data, name, name, seed=seed, duration=duration), None, judge=judge)
+    figures: dict[str, Any] = judge.result(low=START, band_s=1e4)["estimators"]
+    if name == "turns":
+        lost = judge.result(low=OUTAGE, high=OUTAGE + OUTAGE_S, band_s=1e4)["estimators"]
+        figures |= {k: lost[k] for k in figures if k.startswith("outage")}
+    return figures
+
+
+def rms(values: list[float]) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def mean(values: list[Any]) -> float:
+    """Of those that are known; NaN when none is."""
+    known = [v for v in values if v is not None]
+    return float(np.mean(known)) if known else math.nan
+
+
+def summary(flown: dict[int, list[dict[str, Any]]], key: str) -> tuple[float, float, float, float, float] | None:
+    """Tilt and heading RMS (deg), worst seed's share of the tilt, NEES, NIS; None when it has not flown."""
+    by_seed = {seed: [f[key] for f in flights if key in f] for seed, flights in flown.items()}
+    by_seed = {seed: rows for seed, rows in by_seed.items() if rows}
+    if not by_seed:
+        return None
+    rows = [row for found in by_seed.values() for row in found]
+    tilt, heading = (rms([r[f"{m}_rmse_deg"] for r in rows]) for m in ("tilt", "heading"))
+    worst = max(rms([r["tilt_rmse_deg"] for r in found]) for found in by_seed.values())
+    return tilt, heading, worst / tilt, mean([r["nees"] for r in rows]), mean([r["nis"] for r in rows])
+
+
+def verdict(found: tuple[float, ...], goal: tuple[float, float], bounds: tuple[float, float]) -> str:
+    """What is met and what is not."""
+    tilt, heading, worst, nees, _ = found
+    missed = [name for name, value, most in (("tilt", tilt, goal[0]), ("heading", heading, goal[1])) if value > most]
+    missed += ["worst seed"] if worst > WORST else []
+    missed += [] if bounds[0] <= nees <= bounds[1] else ["NEES"]
+    return "missed: " + ", ".join(missed) if missed else "met"
+
+
+def lines(flown: dict[int, list[dict[str, Any]]]) -> list[str]:
+    """The table, markdown."""
+    made = []
+    for suite in SUITES:
+        made += [
+            "",
+            f"## {suite.upper()} grade",
+            "",
+            "| | tilt / heading | goal | worst seed | NEES | NIS | |",
+            "|---|---|---|---|---|---|---|",
+        ]
+        for key, (told, _, goals, bounds) in ROWS.items():
+            found = summary(flown, f"{key}-{suite}")
+            if found is None:
+                continue
+            goal, judged = "above 15 in tilt", "shown" if found[0] > 15.0 else "not shown"
+            if goals:
+                asked = goals[SUITES.index(suite)]
+                goal, judged = f"{asked[0]:g} / {asked[1]:g}", verdict(found, asked, bounds)
+            made.append(
+                f"| {told} | {found[0]:.2f} / {found[1]:.2f} | {goal} | {found[2]:.2f} | {found[3]:.3g} "
+                f"| {found[4]:.2g} | {judged} |"
+            )
+        for name in PEERS:
+            for key, told in ((name, f"{name}, raw"), (f"{name}-air", f"{name}, accelerometer corrected by airspeed")):
+                if (found := summary(flown, f"{key}-{suite}")) is not None:
+                    made.append(f"| {told} | {found[0]:.2f} / {found[1]:.2f} | | {found[2]:.2f} | | | |")
+    return made
+
+
+def main() -> int:
+    """Fly, print, write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", default="101..120", help="FIRST..LAST")
+    parser.add_argument("--peers", type=int, default=3, help="seeds that the peers fly with as well")
+    parser.add_argument("--duration", type=float, help="s, of each flight at most")
+    parser.add_argument("--markdown", type=Path, help="write the page there")
+    arguments = parser.parse_args()
+    first, _, last = arguments.seeds.partition("..")
+    seeds = range(int(first), int(last or first) + 1)
+    flown: dict[int, list[dict[str, Any]]] = {}
+    begun = time.perf_counter()
+    for k, seed in enumerate(seeds):
+        flown[seed] = [flight(name, seed, arguments.duration, k < arguments.peers) for name in SCENARIOS]
+        print(f"seed {seed}, {time.perf_counter() - begun:.0f} s", file=sys.stderr, flush=True)
+    length = f"the first {arguments.duration:.0f} s" if arguments.duration else "whole flights"
+    flights = f"`turns` and `circuit`, {length}, wind 5 m/s, light turbulence, seeds {seeds[0]} to {seeds[-1]}"
+    table = lines(flown)
+    print(flights, *table, sep="\n")
+    if arguments.markdown:
+        peers = f"The peers flew with the first {arguments.peers} of these seeds." if arguments.peers else ""
+        head = INTRO.format(
+            flights=flights.replace("`turns`", "Scenarios `turns`", 1), start=START, worst=WORST, peers=peers
+        )
+        arguments.markdown.write_text(head + "\n".join(table) + "\n" + NOTES)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
