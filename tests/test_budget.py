@@ -53,7 +53,7 @@ aiding = "airspeed"
     ("planted", "name", "measure"),
     [
         ("magnetometer.turn_on_bias_mgauss = 50.0", "hard iron", 1),
-        ("gyro.turn_on_bias_dps = 0.0\ngyro.scale_percent = 15.0", "gyro scale", 1),
+        ("gyro.turn_on_bias_dps = 0.0\ngyro.scale_percent = 30.0", "gyro scale", 1),
     ],
 )
 def test_a_planted_error_comes_out_on_top(tmp_path, planted, name, measure):
