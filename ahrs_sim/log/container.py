@@ -36,6 +36,13 @@ Index = dict[int, np.ndarray]
 """By channel: (n, 2) uint64, log time and offset of each message in its uncompressed chunk."""
 
 
+def _encoded(record: McapRecord) -> bytes:
+    """A record as it stands in a file."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
+
+
 class Container:
     """Writes one MCAP file front to back.
 
@@ -49,7 +56,8 @@ class Container:
         self._at = 0
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
-        self._chunks: list[ChunkIndex] = []
+        self._chunks: list[bytes] = []  # their index records: as objects they would be the most of a long log's memory
+        self._span: tuple[int, int] | None = None  # log times, ns
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._counts: dict[int, int] = {}
@@ -62,10 +70,8 @@ class Container:
 
     def _record(self, record: McapRecord) -> tuple[int, int]:
         """Write a record; its offset and length."""
-        builder = RecordBuilder()
-        record.write(builder)
         start = self._at
-        self._write(builder.end())  # type: ignore[no-untyped-call]
+        self._write(_encoded(record))
         return start, self._at - start
 
     def flush(self) -> None:
@@ -114,19 +120,20 @@ class Container:
             head = RECORD_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size) + struct.pack("<HI", channel, size)
             self._write(head + entries.astype("<u8", copy=False).tobytes())
             self._counts[channel] = self._counts.get(channel, 0) + len(entries)
-        self._chunks.append(
-            ChunkIndex(
-                chunk_length=length,
-                chunk_start_offset=start,
-                compression=chunk.compression,
-                compressed_size=len(chunk.data),
-                message_end_time=chunk.message_end_time,
-                message_index_length=self._at - start - length,
-                message_index_offsets=offsets,
-                message_start_time=chunk.message_start_time,
-                uncompressed_size=chunk.uncompressed_size,
-            )
+        entry = ChunkIndex(
+            chunk_length=length,
+            chunk_start_offset=start,
+            compression=chunk.compression,
+            compressed_size=len(chunk.data),
+            message_end_time=chunk.message_end_time,
+            message_index_length=self._at - start - length,
+            message_index_offsets=offsets,
+            message_start_time=chunk.message_start_time,
+            uncompressed_size=chunk.uncompressed_size,
         )
+        self._chunks.append(_encoded(entry))
+        low, high = self._span or (chunk.message_start_time, chunk.message_end_time)
+        self._span = min(low, chunk.message_start_time), max(high, chunk.message_end_time)
         self.flush()
 
     @property
@@ -137,7 +144,7 @@ class Container:
     @property
     def end_time(self) -> int:
         """Latest log time so far, ns; 0 without messages."""
-        return max((c.message_end_time for c in self._chunks), default=0)
+        return self._span[1] if self._span else 0
 
     def finish(self) -> None:
         """Write the summary and the end of the file."""
@@ -150,30 +157,25 @@ class Container:
             chunk_count=len(self._chunks),
             message_count=self.message_count,
             message_end_time=self.end_time,
-            message_start_time=min((c.message_start_time for c in self._chunks), default=0),
+            message_start_time=self._span[0] if self._span else 0,
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
-        groups: list[tuple[Opcode, list[McapRecord]]] = [
-            (Opcode.SCHEMA, [*self._schemas.values()]),
-            (Opcode.CHANNEL, [*self._channels.values()]),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, [*self._chunks]),
-            (Opcode.ATTACHMENT_INDEX, [*self._attachments]),
-            (Opcode.METADATA_INDEX, [*self._metadata]),
+        groups: list[tuple[Opcode, bytes]] = [
+            (Opcode.SCHEMA, b"".join(map(_encoded, self._schemas.values()))),
+            (Opcode.CHANNEL, b"".join(map(_encoded, self._channels.values()))),
+            (Opcode.STATISTICS, _encoded(statistics)),
+            (Opcode.CHUNK_INDEX, b"".join(self._chunks)),
+            (Opcode.ATTACHMENT_INDEX, b"".join(map(_encoded, self._attachments))),
+            (Opcode.METADATA_INDEX, b"".join(map(_encoded, self._metadata))),
         ]
-        builder = RecordBuilder()
+        offset_start = summary_start
         offsets = []
         for opcode, records in groups:
-            start = builder.count
-            for record in records:
-                record.write(builder)
             if records:
-                offsets.append(SummaryOffset(opcode, summary_start + start, builder.count - start))
-        offset_start = summary_start + builder.count
-        for offset in offsets:
-            offset.write(builder)
-        summary: bytes = builder.end()  # type: ignore[no-untyped-call]
+                offsets.append(SummaryOffset(opcode, offset_start, len(records)))
+            offset_start += len(records)
+        summary = b"".join([*(records for _, records in groups), *map(_encoded, offsets)])
         self._write(summary)
         # The footer's checksum covers the summary and the footer up to the checksum itself.
         head = struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start)
