@@ -32,7 +32,7 @@ CLIMB = 1.5
 SETTLING = 20.0
 """s after a turn, a climb or an acceleration that are transient: what an estimator learnt wrong in it dies away."""
 
-PHASE_RATE = 20.0
+PHASE_RATE = 10.0
 """Hz at which the truth is looked at to tell the phase."""
 
 LATE_S = 2.0
@@ -78,7 +78,7 @@ class Judge:
         kept = old.t > old.t[-1] - LATE_S if len(old.t) else slice(0)
         self._recent = History(np.concatenate([old.t[kept], t]), np.concatenate([old.q_nb[kept], q_nb]))
         rows, self._cell = _coarse(t, self._cell)
-        self._coarse.append((t[rows], q_nb[rows], vel_n[rows], on_ground[rows]))
+        self._coarse.append((t[rows], q_nb[rows].astype(np.float32), vel_n[rows].astype(np.float32), on_ground[rows]))
         waiting, self._waiting = self._waiting, []
         for name, estimates in waiting:
             self.estimates(name, estimates)
