@@ -17,7 +17,6 @@ import numpy as np
 import estimators as library
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.errors import InputError
-from ahrs_sim.log.reader import quaternion, stamps, vector
 from ahrs_sim.log.record import INSTRUMENTS, REFERENCE, EstimateTopics, FlightReader
 from ahrs_sim.log.writer import CarriedChannel, Listener, LogWriter
 from ahrs_sim.scenario import Component
@@ -151,20 +150,13 @@ def judge(
 
     if _not_mcap(path):
         return None
-    topics = (compare.TRUTH_TOPIC, compare.STATE_TOPIC, compare.AIR_TOPIC)
+    topics = compare.TRUTH_TOPICS
     with FlightReader(path) as log:
         if not is_flight(log) or any(topic not in log.topics for topic in topics):
             return None
 
         def truth(messages: Mapping[str, np.ndarray]) -> None:
-            imu, state, air = (messages[topic] for topic in topics)
-            n = min(map(len, (imu, state, air)))  # a recovered log may end between two topics
-            errors.truth(
-                log.seconds(stamps(imu[:n])),
-                quaternion(imu["orientation"][:n]),
-                vector(state["velocity"][:n]),
-                air["on_ground"][:n],
-            )
+            compare.tell_truth(log, errors, messages)
 
         recording = of_flight(log, estimators, truth, *topics)
         errors = compare.Judge([c.name for c in recording.estimators])
@@ -178,11 +170,8 @@ def judge(
                 if len(samples):
                     reached = max(reached, float(samples.t[-1]))
             progress(reached, recording.duration)
-    first, last = errors.span()
     low, high = -math.inf if start is None else start, math.inf if end is None else end
-    if max(low, first) >= min(high, last):
-        raise InputError(f"{path}: --from/--to: the log spans {first:.1f} to {last:.1f} s")
-    return {"log": str(path), **errors.result(low=low, high=high)}
+    return compare.verdict(path, errors, "truth", low, high)
 
 
 def _not_mcap(path: Path) -> bool:

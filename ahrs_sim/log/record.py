@@ -463,7 +463,7 @@ class EstimateTopics:
         said: tuple[np.ndarray, ...] = block.t[rows], block.q_nb[rows], block.down_b[rows], block.att_cov[rows]
         t, q_nb, down_b, att_cov = said
         times = nanoseconds(self.epoch_ns, t)
-        roll, pitch = np.arctan2(down_b[:, 1], down_b[:, 2]), np.arcsin(np.clip(-down_b[:, 0], -1, 1))
+        roll, pitch = metrics.roll_pitch(down_b)
         heading = np.mod(metrics.euler(q_nb)[:, 2], 2 * np.pi)
         self.writer.write(attitude, times, times, roll=roll, pitch=pitch, heading=heading)
 

@@ -19,6 +19,7 @@ from estimators.types import Estimates
 TRUTH_TOPIC = "/truth/imu"
 STATE_TOPIC = "/truth/state"
 AIR_TOPIC = "/truth/air"
+TRUTH_TOPICS = TRUTH_TOPIC, STATE_TOPIC, AIR_TOPIC
 
 TURN_RATE = math.radians(3.0)
 """rad/s of heading (mean over 2 s) from which on a flight is turning: the standard rate, 360 deg in two minutes."""
@@ -209,15 +210,10 @@ def compare(
             raise InputError(f"{path}: no {TRUTH_TOPIC} in it: there is nothing to compare with")
         judge = Judge(names, against=against, honesty=band_s is not None)
         listen(log, judge, names, honesty=band_s is not None)
-    first, last = judge.span()
-    if first >= last:
-        raise InputError(f"{path}: {TRUTH_TOPIC} is empty: there is nothing to compare with")
-    if max(low, first) >= min(high, last):
-        raise InputError(f"{path}: --from/--to: the log spans {first:.1f} to {last:.1f} s")
-    result = judge.result(reference or "truth", low=low, high=high, band_s=band_s)
+    result = verdict(path, judge, reference or "truth", low, high, band_s=band_s)
     for name, values in told.items():
         result["estimators"][name] |= values
-    return {"log": str(path), **result}
+    return result
 
 
 @dataclass(frozen=True)
@@ -231,21 +227,40 @@ class History:
 def listen(log: FlightReader, judge: Judge, names: Iterable[str], *, honesty: bool = False) -> None:
     """Give a judge what a log holds, in one pass."""
     topics = {f"/est/{name}{STATE.topic}": name for name in names}
-    needed = [TRUTH_TOPIC, STATE_TOPIC, AIR_TOPIC] if TRUTH_TOPIC in log.topics else []
+    needed = TRUTH_TOPICS if TRUTH_TOPIC in log.topics else ()
     if missing := [topic for topic in needed if topic not in log.topics]:
         raise InputError(f"{log.path}: no {missing[0]} in it: there is nothing to compare with")
     for block in log.blocks([*needed, *topics]):
         if needed:
-            imu, state, air = (block[topic] for topic in needed)
-            rows = min(map(len, (imu, state, air)))  # a recovered log may end between two topics
-            judge.truth(
-                _seconds(log, imu[:rows]),
-                quaternion(imu["orientation"][:rows]),
-                vector(state["velocity"][:rows]),
-                air["on_ground"][:rows],
-            )
+            tell_truth(log, judge, block)
         for topic, name in topics.items():
             judge.estimates(name, _said(log, block[topic], honesty))
+
+
+def tell_truth(log: FlightReader, judge: Judge, messages: Mapping[str, np.ndarray]) -> None:
+    """Give a judge the truth in the messages of `TRUTH_TOPICS`."""
+    imu, state, air = (messages[topic] for topic in TRUTH_TOPICS)
+    rows = min(map(len, (imu, state, air)))  # a recovered log may end between two topics
+    judge.truth(
+        _seconds(log, imu[:rows]),
+        quaternion(imu["orientation"][:rows]),
+        vector(state["velocity"][:rows]),
+        air["on_ground"][:rows],
+    )
+
+
+def verdict(path: Path, judge: Judge, reference: str, low: float, high: float, **options: Any) -> dict[str, Any]:
+    """A judge's result with the log's name; `options` as for `Judge.result`.
+
+    Raises:
+        InputError: there is nothing to compare between `low` and `high` (s).
+    """
+    first, last = judge.span()
+    if first >= last:
+        raise InputError(f"{path}: {TRUTH_TOPIC} is empty: there is nothing to compare with")
+    if max(low, first) >= min(high, last):
+        raise InputError(f"{path}: --from/--to: the log spans {first:.1f} to {last:.1f} s")
+    return {"log": str(path), **judge.result(reference, low=low, high=high, **options)}
 
 
 def _said(log: FlightReader, messages: np.ndarray, honesty: bool) -> Estimates:

@@ -137,8 +137,7 @@ def _of(log: FlightReader, name: str, history: compare.History, low: float, high
     t = t[(t >= max(low, history.t[0])) & (t <= min(high, history.t[-1]))]
     truth = metrics.euler(metrics.interpolate(history.t, history.q_nb, t))
     with np.errstate(invalid="ignore"):
-        x, y, z = down_b[kept].T
-        angles = np.column_stack([np.arctan2(y, z), np.arcsin(np.clip(-x, -1.0, 1.0)), metrics.euler(q_nb[kept])[:, 2]])
+        angles = np.column_stack([*metrics.roll_pitch(down_b[kept]), metrics.euler(q_nb[kept])[:, 2]])
     return {
         key: round(1e3 * lag, 2) if math.isfinite(lag) else None
         for key, lag in zip(("attitude_lag_ms", "rate_lag_ms"), lags(t, truth, angles), strict=True)

@@ -29,6 +29,11 @@ def down(q_nb: np.ndarray) -> np.ndarray:
     return np.column_stack([2 * (b * d - a * c), 2 * (c * d + a * b), 1 - 2 * (b * b + c * c)])
 
 
+def roll_pitch(down_b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Roll and pitch (n,) rad from the down direction in body axes (n, 3)."""
+    return np.arctan2(down_b[:, 1], down_b[:, 2]), np.arcsin(np.clip(-down_b[:, 0], -1.0, 1.0))
+
+
 def interpolate(t: np.ndarray, q_nb: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Quaternions (m, 4) at times `at` (m,) from samples `q_nb` (n, 4) at rising times `t` (n,).
 
@@ -56,8 +61,7 @@ def attitude_errors(q_nb: np.ndarray, down_b: np.ndarray, reference: np.ndarray)
     reference_euler, reference_down = euler(reference), down(reference)
     with np.errstate(invalid="ignore"):
         estimated = euler(q_nb)
-        roll = np.arctan2(down_b[:, 1], down_b[:, 2])
-        pitch = np.arcsin(np.clip(-down_b[:, 0], -1.0, 1.0))
+        roll, pitch = roll_pitch(down_b)
         difference = wrap(np.column_stack([roll, pitch, estimated[:, 2]]) - reference_euler)
         cross = np.linalg.norm(np.cross(down_b, reference_down), axis=1)
         tilt = np.arctan2(cross, np.sum(down_b * reference_down, axis=1))
