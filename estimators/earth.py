@@ -8,6 +8,7 @@ from estimators.jit import njit
 from estimators.rotations import wrap
 
 A, E2, EARTH_RATE = 6378137.0, 6.69437999014e-3, 7.292115e-5  # m, -, rad/s
+GRAVITY_GRADIENT = 3.086e-6  # 1/s2, of gravity with height
 _EQUATOR, _K, _F, _M = 9.7803253359, 0.00193185265241, 1.0 / 298.257223563, 0.00344978650684
 
 
@@ -27,6 +28,15 @@ def normal_gravity(latitude: float, height: float) -> float:
     h = height / A
     surface = _EQUATOR * (1.0 + _K * sin2) / math.sqrt(1.0 - E2 * sin2)
     return float(surface * (1.0 - 2.0 * (1.0 + _F + _M - 2.0 * _F * sin2) * h + 3.0 * h * h))
+
+
+@njit
+def frame_rates(lla: np.ndarray, vel_n: np.ndarray) -> tuple[float, float, float, float, float]:
+    """Earth rate (north, down), then transport rate (north, east, down) of the local frame, rad/s."""
+    along, across = radii(lla[0])
+    earth_n, earth_d = EARTH_RATE * math.cos(lla[0]), -EARTH_RATE * math.sin(lla[0])
+    north, east = vel_n[1] / (across + lla[2]), -vel_n[0] / (along + lla[2])
+    return earth_n, earth_d, north, east, -north * math.tan(lla[0])
 
 
 @njit

@@ -1,7 +1,7 @@
 """A ring of past values, for measurements that are old when they arrive.
 
 A ring is a row of numbers (LENGTH,) in a model's memory, NaN at first: it keeps WIDTH values of each of the last SLOTS
-rows. The last value is an angle.
+rows.
 """
 
 import math
@@ -11,7 +11,7 @@ import numpy as np
 from estimators.jit import njit
 from estimators.rotations import wrap
 
-SLOTS, WIDTH = 128, 7  # rows: more than a second at 100 Hz
+SLOTS, WIDTH = 256, 7  # rows: more than a second at 200 Hz
 _STRIDE = WIDTH + 1
 LENGTH = 1 + SLOTS * _STRIDE
 
@@ -28,8 +28,11 @@ def keep(ring: np.ndarray, t: float, values: np.ndarray) -> None:
 
 
 @njit
-def recall(ring: np.ndarray, t: float, out: np.ndarray) -> bool:
-    """`out` (WIDTH,) = values at time t, straight between rows, the newest if t is later; False when t is too old."""
+def recall(ring: np.ndarray, t: float, angles: tuple[int, ...], out: np.ndarray) -> bool:
+    """`out` (WIDTH,) = values at time t, straight between rows, the newest if t is later; False when t is too old.
+
+    Those at the places `angles` are angles.
+    """
     if math.isnan(ring[0]) or not math.isfinite(t):
         return False
     slot = int(ring[0])
@@ -47,7 +50,7 @@ def recall(ring: np.ndarray, t: float, out: np.ndarray) -> bool:
             share = (t - ring[early]) / (ring[late] - ring[early])
             for i in range(WIDTH):
                 step = ring[late + 1 + i] - ring[early + 1 + i]
-                out[i] = ring[early + 1 + i] + share * (wrap(step) if i == WIDTH - 1 else step)
+                out[i] = ring[early + 1 + i] + share * (wrap(step) if i in angles else step)
             return True
         late = early
     return False

@@ -151,13 +151,18 @@ def from_matrix(C_bn: np.ndarray, out: np.ndarray) -> None:
 
 
 @njit
+def yaw(q: np.ndarray) -> float:
+    """Heading (rad, -pi..pi) of q_nb."""
+    return math.atan2(2.0 * (q[0] * q[3] + q[1] * q[2]), 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3]))
+
+
+@njit
 def euler(q: np.ndarray) -> tuple[float, float, float]:
     """Roll, pitch, yaw (rad, yaw in -pi..pi) of q_nb: paper 000 eq. (17) with its names set right."""
     a, b, c, d = q[0], q[1], q[2], q[3]
     roll = math.atan2(2.0 * (a * b + c * d), 1.0 - 2.0 * (b * b + c * c))
     pitch = math.asin(min(1.0, max(-1.0, 2.0 * (a * c - b * d))))
-    yaw = math.atan2(2.0 * (a * d + b * c), 1.0 - 2.0 * (c * c + d * d))
-    return roll, pitch, yaw
+    return roll, pitch, yaw(q)
 
 
 @njit

@@ -33,6 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimators.alignment import ACCEL_SCATTER, GYRO_SCATTER, MEAN_RATE, Alignment, Start
+from estimators.earth import GRAVITY_GRADIENT, apart, frame_rates, move
 from estimators.generic import register
 from estimators.jit import inner, njit
 from estimators.models.base import (
@@ -47,7 +48,8 @@ from estimators.models.base import (
     report_attitude,
     size,
 )
-from estimators.rotations import attitude_matrix, normalise, rotation_between, to_body, to_nav, turn, wrap
+from estimators.past import LENGTH, WIDTH, keep, recall
+from estimators.rotations import attitude_matrix, normalise, rotation_between, to_body, to_nav, turn, wrap, yaw
 from estimators.rows import (
     ACCEL,
     AIR_NEW,
@@ -80,9 +82,6 @@ from estimators.types import SensorInfo, Site, Status
 PHI, V, P_, BG, BA, SG, HI, WIND = 0, 3, 6, 9, 12, 15, 18, 21  # offsets in the error; one more in the raw state
 RAW = 25
 
-A, E2, EARTH_RATE = 6378137.0, 6.69437999014e-3, 7.292115e-5  # WGS84: m, -, rad/s
-GRAVITY_GRADIENT = 3.086e-6  # 1/s2, of gravity with height
-
 GNSS, STILL, MAGNETIC, DUAL, AIR = range(5)
 _Z_GNSS, _Z_MAG, _Z_DUAL, _Z_AIR, _Z_STILL, MEASUREMENTS_ = 0, 6, 7, 8, 11, 17
 
@@ -105,13 +104,12 @@ INPUTS = _VAR + MEASUREMENTS_
     _SECOND,
     _COUNT,
     _INFLATION,
-    _HEAD,
     _SPEED,
     _JERKY,
-) = range(15)
-_LAST_W, _LAST_F, _STEP, _MEAN, _SPREAD = 15, 18, 21, 24, 30
-_RING, _SLOTS, _WIDTH = 36, 256, 8  # t, velocity and place of the antenna, yaw
-MEMORY = _RING + _SLOTS * _WIDTH
+) = range(14)
+_LAST_W, _LAST_F, _STEP, _MEAN, _SPREAD, _RING = 14, 17, 20, 23, 29, 35
+MEMORY = _RING + LENGTH
+_ANGLES = (4, 6)  # of the values of the ring: longitude, yaw
 
 MAG_TIMEOUT, AID_TIMEOUT = 1.0, 2.0  # s
 STILL_SPEED = 0.2  # m/s
@@ -167,33 +165,6 @@ class Ins24(_Parameters):
 
 
 @njit
-def radii(latitude: float) -> tuple[float, float]:
-    """Radii of curvature (m) along the meridian and across."""
-    sine = math.sin(latitude)
-    w2 = 1.0 - E2 * sine * sine
-    across = A / math.sqrt(w2)
-    return across * (1.0 - E2) / w2, across
-
-
-@njit
-def _move(x: np.ndarray, north: float, east: float, down: float, out: np.ndarray) -> None:
-    """Place of `out` = that of x moved by metres NED."""
-    along, across = radii(x[7])
-    out[7] = x[7] + north / (along + x[9])
-    out[8] = x[8] + east / ((across + x[9]) * math.cos(x[7]))
-    out[9] = x[9] - down
-
-
-@njit
-def _apart(a0: float, a1: float, a2: float, b0: float, b1: float, b2: float, out: np.ndarray, at: int) -> None:
-    """`out[at:at + 3]` = place a minus place b, metres NED."""
-    along, across = radii(b0)
-    out[at] = (a0 - b0) * (along + b2)
-    out[at + 1] = wrap(a1 - b1) * (across + b2) * math.cos(b0)
-    out[at + 2] = b2 - a2
-
-
-@njit
 def _turn_n(q: np.ndarray, rx: float, ry: float, rz: float, out: np.ndarray) -> None:
     """`out = exp_q(r) (x) q`: a rotation about navigation axes; `turn` on conjugates."""
     a, b, c, d = q[0], -q[1], -q[2], -q[3]
@@ -206,13 +177,8 @@ def _turn_n(q: np.ndarray, rx: float, ry: float, rz: float, out: np.ndarray) -> 
 def _propagate(model: Any, x: np.ndarray, u: np.ndarray, dt: float, out: np.ndarray) -> None:
     for i in range(10, x.shape[0]):
         out[i] = x[i]
-    lat, height = x[7], x[9]
-    along, across = radii(lat)
     north, east, down = x[4], x[5], x[6]
-    rate_north, rate_east = north / (along + height), east / (across + height)
-    # Earth rate and transport rate in NED
-    ie_n, ie_d = EARTH_RATE * math.cos(lat), -EARTH_RATE * math.sin(lat)
-    en_n, en_e, en_d = rate_east, -rate_north, -rate_east * math.tan(lat)
+    ie_n, ie_d, en_n, en_e, en_d = frame_rates(x[7:10], x[4:7])
     scale = np.empty(3)
     for i in range(3):
         scale[i] = (u[_W + i] - x[10 + i]) * dt
@@ -226,11 +192,11 @@ def _propagate(model: Any, x: np.ndarray, u: np.ndarray, dt: float, out: np.ndar
     force = np.empty(3)
     to_nav(half, u[_F] - x[13], u[_F + 1] - x[14], u[_F + 2] - x[15], force)
     wn, we, wd = 2.0 * ie_n + en_n, en_e, 2.0 * ie_d + en_d
-    gravity = model.gravity - GRAVITY_GRADIENT * (height - model.origin[2])
+    gravity = model.gravity - GRAVITY_GRADIENT * (x[9] - model.origin[2])
     out[4] = north + (force[0] - (we * down - wd * east)) * dt
     out[5] = east + (force[1] - (wd * north - wn * down)) * dt
     out[6] = down + (force[2] + gravity - (wn * east - we * north)) * dt
-    _move(x, 0.5 * (north + out[4]) * dt, 0.5 * (east + out[5]) * dt, 0.5 * (down + out[6]) * dt, out)
+    move(x[7:10], 0.5 * (north + out[4]) * dt, 0.5 * (east + out[5]) * dt, 0.5 * (down + out[6]) * dt, out[7:10])
 
 
 def _transition(model: Any, x: np.ndarray, u: np.ndarray, dt: float, F: np.ndarray) -> None:
@@ -267,7 +233,7 @@ def _retract(model: Any, x: np.ndarray, dx: np.ndarray, out: np.ndarray) -> None
     _turn_n(x, dx[0], dx[1], dx[2], out)
     for i in range(3):
         out[4 + i] = x[4 + i] + dx[3 + i]
-    _move(x, dx[6], dx[7], dx[8], out)
+    move(x[7:10], dx[6], dx[7], dx[8], out[7:10])
     for i in range(9, size(model)):
         out[1 + i] = x[1 + i] + dx[i]
 
@@ -281,7 +247,7 @@ def _difference(model: Any, x: np.ndarray, origin: np.ndarray, out: np.ndarray) 
     for i in range(3):
         out[i] = -out[i]
         out[3 + i] = x[4 + i] - origin[4 + i]
-    _apart(x[7], x[8], x[9], origin[7], origin[8], origin[9], out, 6)
+    apart(x[7:10], origin[7:10], out[6:9])
 
 
 def _constrain(model: Any, x: np.ndarray) -> None:
@@ -311,7 +277,7 @@ def _observe(model: Any, group: int, x: np.ndarray, u: np.ndarray, y: np.ndarray
     if group == GNSS:
         for i in range(3):
             y[i] = x[4 + i]
-        _apart(x[7], x[8], x[9], model.origin[0], model.origin[1], model.origin[2], y, 3)
+        apart(x[7:10], model.origin, y[3:6])
     elif group == STILL:
         for i in range(3):
             y[i] = x[4 + i]
@@ -320,7 +286,7 @@ def _observe(model: Any, group: int, x: np.ndarray, u: np.ndarray, y: np.ndarray
         _field_n(model, x, u, y)
         y[0] = math.atan2(y[1], y[0])
     elif group == DUAL:
-        y[0] = math.atan2(2.0 * (x[0] * x[3] + x[1] * x[2]), 1.0 - 2.0 * (x[2] * x[2] + x[3] * x[3]))
+        y[0] = yaw(x)
     else:
         _air_velocity(model, x, y)
 
@@ -451,51 +417,18 @@ def _judge_second(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray
 
 
 @inner
-def _keep(model: Any, t: float, x: np.ndarray, memory: np.ndarray, u: np.ndarray) -> int:
-    """Put antenna velocity and place and yaw into the ring of past states; returns where it begins in `memory`."""
-    slot = int(memory[_HEAD]) % _SLOTS
-    at = _RING + slot * _WIDTH
-    memory[_HEAD] = float(slot + 1)
+def _keep(model: Any, t: float, x: np.ndarray, memory: np.ndarray, u: np.ndarray, now: np.ndarray) -> None:
+    """`now` (7,) = the antenna's velocity and place, and yaw; kept."""
     a = model.antenna_b
     wx, wy, wz = u[_W] - x[10], u[_W + 1] - x[11], u[_W + 2] - x[12]
     lever, swing = np.empty(3), np.empty(3)
     to_nav(x, a[0], a[1], a[2], lever)
     to_nav(x, wy * a[2] - wz * a[1], wz * a[0] - wx * a[2], wx * a[1] - wy * a[0], swing)
-    place = np.empty(RAW)
-    _move(x, lever[0], lever[1], lever[2], place)
-    memory[at] = t
     for i in range(3):
-        memory[at + 1 + i] = x[4 + i] + swing[i]
-        memory[at + 4 + i] = place[7 + i]
-    memory[at + 7] = math.atan2(2.0 * (x[0] * x[3] + x[1] * x[2]), 1.0 - 2.0 * (x[2] * x[2] + x[3] * x[3]))
-    return at
-
-
-@njit
-def _recall(memory: np.ndarray, newest: int, t: float, out: np.ndarray) -> bool:
-    """`out` (7,) = kept velocity, place, yaw at time t, between two rows; False when t is not in the ring."""
-    slot = (newest - _RING) // _WIDTH
-    late = newest
-    if t >= memory[late]:
-        t = memory[late]
-    for back in range(1, _SLOTS):
-        early = _RING + ((slot - back) % _SLOTS) * _WIDTH
-        if not memory[early] < memory[late]:  # NaN: not filled yet
-            break
-        if memory[early] <= t:
-            share = (t - memory[early]) / (memory[late] - memory[early])
-            for i in range(7):
-                step = memory[late + 1 + i] - memory[early + 1 + i]
-                if i == 6 or i == 4:
-                    step = wrap(step)
-                out[i] = memory[early + 1 + i] + share * step
-            return True
-        late = early
-    if t == memory[newest]:
-        for i in range(7):
-            out[i] = memory[newest + 1 + i]
-        return True
-    return False
+        now[i] = x[4 + i] + swing[i]
+    move(x[7:10], lever[0], lever[1], lever[2], now[3:6])
+    now[6] = yaw(x)
+    keep(memory[_RING:], t, now)
 
 
 def _measure(
@@ -504,10 +437,10 @@ def _measure(
     t = row[T]
     for i in range(MEASUREMENTS_):
         used[i] = False
-    newest = _keep(model, t, x, memory, u)
-    then = np.empty(7)
+    now, then = np.empty(WIDTH), np.empty(WIDTH)
+    _keep(model, t, x, memory, u, now)
     if model.use_gnss == 1 and row[GNSS_NEW] != 0.0:
-        _measure_gnss(model, row, x, memory, newest, then, u, z, used)
+        _measure_gnss(model, row, x, memory, then, u, z, used)
     if model.pseudo == 1 and not t - memory[_PSEUDO_T] < PSEUDO_PERIOD - 1e-6:
         memory[_PSEUDO_T] = memory[_AID_T] = t
         for i in range(3):
@@ -515,8 +448,8 @@ def _measure(
             u[_VAR + i] = u[_VAR + 3 + i] = 1.0
             used[i] = used[3 + i] = True
     told = model.use_heading == 1 and row[HEADING_NEW] != 0.0 and plausible(row[HEADING], 100.0)
-    if told and _recall(memory, newest, row[HEADING_T], then):
-        z[_Z_DUAL] = row[HEADING] + (memory[newest + 7] - then[6])
+    if told and recall(memory[_RING:], row[HEADING_T], _ANGLES, then):
+        z[_Z_DUAL] = row[HEADING] + (now[6] - then[6])
         sigma = model.heading_factor * row[HEADING_SIGMA]
         u[_VAR + _Z_DUAL] = sigma * sigma
         used[_Z_DUAL] = sigma > 0.0
@@ -546,29 +479,28 @@ def _measure_gnss(
     row: np.ndarray,
     x: np.ndarray,
     memory: np.ndarray,
-    newest: int,
     then: np.ndarray,
     u: np.ndarray,
     z: np.ndarray,
     used: np.ndarray,
 ) -> None:
-    if not _recall(memory, newest, row[GNSS_T], then):
+    if not recall(memory[_RING:], row[GNSS_T], _ANGLES, then):
         return
-    force, apart, here = np.empty(3), np.empty(3), np.empty(3)
+    force, there, here = np.empty(3), np.empty(3), np.empty(3)
     to_nav(x, u[_F] - x[13], u[_F + 1] - x[14], u[_F + 2] - x[15], force)
     acceleration2 = force[0] ** 2 + force[1] ** 2 + (force[2] + model.gravity) ** 2
-    _apart(row[LLA], row[LLA + 1], row[LLA + 2], then[3], then[4], then[5], apart, 0)
-    _apart(x[7], x[8], x[9], model.origin[0], model.origin[1], model.origin[2], here, 0)
+    apart(row[LLA : LLA + 3], then[3:6], there)
+    apart(x[7:10], model.origin, here)
     place = on_earth(row[LLA], row[LLA + 1], row[LLA + 2])
     for i in range(3):
         speed = row[VEL + i]
         z[i] = x[4 + i] + (speed - then[i])
-        z[3 + i] = here[i] + apart[i]
+        z[3 + i] = here[i] + there[i]
         wide = 1.5 if i == 2 else 1.0
         u[_VAR + i] = (wide * model.gnss_velocity) ** 2 + 0.0025 * acceleration2
         u[_VAR + 3 + i] = (wide * model.gnss_position) ** 2
         used[i] = plausible(speed, MAX_SPEED)
-        used[3 + i] = place and plausible(apart[i], 1e6)
+        used[3 + i] = place and plausible(there[i], 1e6)
     if used[0] and used[1] and used[2]:
         memory[_SPEED] = math.sqrt(row[VEL] ** 2 + row[VEL + 1] ** 2 + row[VEL + 2] ** 2)
         memory[_AID_T] = memory[_GNSS_T] = row[T]
@@ -772,7 +704,7 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
         pseudo=int(aid == "none"),
     )  # fmt: skip
     memory = np.full(MEMORY, np.nan)
-    memory[[_IS_STILL, _COUNT, _HEAD, _JERKY]], memory[_GOOD] = 0.0, 1.0
+    memory[[_IS_STILL, _COUNT, _JERKY]], memory[_GOOD] = 0.0, 1.0
     memory[_STEP : _STEP + 3] = 0.0
     restart = np.array(initial)
     restart[PHI : PHI + 3], restart[V : V + 3] = 0.5, 10.0

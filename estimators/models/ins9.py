@@ -27,13 +27,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimators.alignment import Alignment, Start
-from estimators.earth import EARTH_RATE, apart, move, normal_gravity, radii
+from estimators.earth import EARTH_RATE, GRAVITY_GRADIENT, apart, frame_rates, move, normal_gravity, radii
 from estimators.generic import register
 from estimators.jit import njit
 from estimators.models.attitude_error import mean_rate, rotation_slopes
 from estimators.models.base import MAX_FORCE, MAX_SPEED, on_earth, plausible, report_attitude
 from estimators.past import LENGTH, WIDTH, keep, recall
-from estimators.rotations import attitude_matrix, multiply, normalise, to_nav, turn, wrap
+from estimators.rotations import attitude_matrix, multiply, normalise, to_nav, turn, wrap, yaw
 from estimators.rows import (
     ACCEL,
     E_COV,
@@ -60,9 +60,9 @@ _W, _F, _VAR, INPUTS = 0, 3, 6, 8
 # memory, after the last rate: last force, when satellites and a heading were last there, when the antennas'
 _FORCE, _FIX_T, _HEADING_T, _ANTENNA_T, _RING = 3, 6, 7, 8, 9
 MEMORY = _RING + LENGTH
+_ANGLES = (6,)  # of the values of the ring
 FIX_TIMEOUT, HEADING_TIMEOUT, ANTENNA_TIMEOUT = 2.0, 5.0, 1.0  # s
 ENOUGH_FOR_HEADING, ENOUGH_FOR_FIX = 6.0, 4.0  # satellites
-GRAVITY_GRADIENT = 3.086e-6  # 1/s2
 _RUNNING, _COASTING = int(Status.RUNNING), int(Status.COASTING)
 
 
@@ -101,12 +101,6 @@ def _load(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.
 
 
 @njit
-def yaw(q: np.ndarray) -> float:
-    """Heading (rad) of q_nb."""
-    return math.atan2(2.0 * (q[0] * q[3] + q[1] * q[2]), 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3]))
-
-
-@njit
 def _keep(model: Any, t: float, x: np.ndarray, memory: np.ndarray, u: np.ndarray, now: np.ndarray) -> None:
     """`now` (7,) = the antenna's place (m from the origin) and velocity, and yaw; kept."""
     a, lever = model.antenna_b, np.empty(3)
@@ -132,18 +126,18 @@ def _measure(
     satellites = row[SATELLITES]
     if math.isnan(satellites):
         satellites = ENOUGH_FOR_HEADING  # a receiver that does not say
-    if row[GNSS_NEW] != 0.0 and satellites >= ENOUGH_FOR_FIX and recall(memory[_RING:], row[GNSS_T], then):
+    if row[GNSS_NEW] != 0.0 and satellites >= ENOUGH_FOR_FIX and recall(memory[_RING:], row[GNSS_T], _ANGLES, then):
         _measure_fix(model, row, x, memory, now, then, z, used)
     if model.use_heading == 1:
         new = row[HEADING_NEW] != 0.0 and satellites >= ENOUGH_FOR_HEADING and plausible(row[HEADING], 100.0)
-        if new and recall(memory[_RING:], row[HEADING_T], then):
+        if new and recall(memory[_RING:], row[HEADING_T], _ANGLES, then):
             z[_Z_HEADING] = row[HEADING] + (now[6] - then[6])
             u[_VAR] = (model.heading_share * row[HEADING_SIGMA]) ** 2
             used[_Z_HEADING] = u[_VAR] > 0.0
             if used[_Z_HEADING]:
                 memory[_HEADING_T] = memory[_ANTENNA_T] = t
         antenna = satellites >= ENOUGH_FOR_HEADING and t - memory[_ANTENNA_T] <= ANTENNA_TIMEOUT
-        if used[3] and not antenna and recall(memory[_RING:], row[GNSS_T], then):
+        if used[3] and not antenna and recall(memory[_RING:], row[GNSS_T], _ANGLES, then):
             north, east = row[VEL] - model.wind_n[0], row[VEL + 1] - model.wind_n[1]
             speed = math.hypot(north, east)
             if speed >= model.course_speed:
@@ -182,12 +176,8 @@ def _measure_fix(
 
 
 def _propagate(model: Any, x: np.ndarray, u: np.ndarray, dt: float, out: np.ndarray) -> None:
-    latitude, height = x[4], x[6]
-    along, across = radii(latitude)
     north, east, down = x[7], x[8], x[9]
-    ie_n, ie_d = EARTH_RATE * math.cos(latitude), -EARTH_RATE * math.sin(latitude)
-    en_n, en_e = east / (across + height), -north / (along + height)
-    en_d = -en_n * math.tan(latitude)
+    ie_n, ie_d, en_n, en_e, en_d = frame_rates(x[4:7], x[7:10])
     half, body, frame = np.empty(4), np.empty(4), np.empty(4)
     turn(x, 0.5 * u[0] * dt, 0.5 * u[1] * dt, 0.5 * u[2] * dt, half)
     turn(x, u[0] * dt, u[1] * dt, u[2] * dt, body)
@@ -200,7 +190,7 @@ def _propagate(model: Any, x: np.ndarray, u: np.ndarray, dt: float, out: np.ndar
     wn, we, wd = 2.0 * ie_n + en_n, en_e, 2.0 * ie_d + en_d
     out[7] = north + (force[0] - (we * down - wd * east)) * dt
     out[8] = east + (force[1] - (wd * north - wn * down)) * dt
-    out[9] = down + (force[2] + normal_gravity(latitude, height) - (wn * east - we * north)) * dt
+    out[9] = down + (force[2] + normal_gravity(x[4], x[6]) - (wn * east - we * north)) * dt
     step = 0.5 * dt
     move(x[4:7], step * (north + out[7]), step * (east + out[8]), step * (down + out[9]), out[4:7])
 

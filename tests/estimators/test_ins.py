@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic import SITE, coordinated_turn, error_deg, flight, still
 
-from estimators import SensorInfo, Status, create
+from estimators import SensorInfo, Status, create, earth
 from estimators.alignment import Stretch, conclude
 from estimators.catalogue import _CATALOGUE
 from estimators.models import ins
@@ -102,7 +102,7 @@ def flown(turn_s=60.0, latency=0.0, **options):
     C_nb0 = np.stack([np.cos(_yaw(truth)), np.sin(_yaw(truth)), 0 * yaw], -1)
     velocity = along[:, None] * C_nb0
     place = np.cumsum(velocity, 0) / 100.0
-    along_m, across_m = ins.radii(SITE.lla[0])
+    along_m, across_m = earth.radii(SITE.lla[0])
     lla = np.array(SITE.lla) + place * [
         1 / (along_m + SITE.lla[2]), 1 / ((across_m + SITE.lla[2]) * np.cos(SITE.lla[0])), -1.0
     ]  # fmt: skip
