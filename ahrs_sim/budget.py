@@ -15,13 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_sim import replay, runs
+from ahrs_sim import metrics, replay, runs
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.errors import FlightError, InputError, nearest
 from ahrs_sim.flight import open_flight
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.pipeline import site_of
-from ahrs_sim.review import metrics
 from ahrs_sim.scenario import Component, Scenario
 from ahrs_sim.sensors import Assembler, Suite, make_suite
 from estimators.types import Samples, SensorInfo, Site

@@ -13,9 +13,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from ahrs_sim import pipeline, scenario
+from ahrs_sim import metrics, pipeline, scenario
 from ahrs_sim.log.record import FlightReader
-from ahrs_sim.review import compare, metrics
+from ahrs_sim.review import compare
 
 HERE = Path(__file__).parent
 PRACTICAL = {

@@ -12,12 +12,12 @@ import pytest
 from bag_helpers import motion, write_bag, write_ulog
 
 import estimators
-from ahrs_sim import pipeline, replay, scenario
+from ahrs_sim import consistency, metrics, pipeline, replay, scenario
 from ahrs_sim.cli import main
 from ahrs_sim.errors import InputError
 from ahrs_sim.log.reader import LogReader
 from ahrs_sim.log.record import FlightReader
-from ahrs_sim.review import compare, consistency, metrics, report, traces
+from ahrs_sim.review import compare, report, traces
 
 DATA = Path(__file__).parents[1].parent / "shared" / "data"
 real = pytest.mark.skipif(not DATA.is_dir(), reason=f"real recordings are not there: {DATA}")

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import estimators
+from ahrs_sim import metrics
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.flight import open_flight
 from ahrs_sim.pipeline import site_of
 from ahrs_sim.replay import create
-from ahrs_sim.review import metrics
 from ahrs_sim.sensors import Assembler, make_suite
 from estimators import Status
 

@@ -189,7 +189,7 @@ def _against_reference(s: Survey, axes: tuple[str, str]) -> list[str]:
 
 
 def _at(t: np.ndarray, q: np.ndarray, at: np.ndarray) -> np.ndarray:
-    from ahrs_sim.review.metrics import interpolate
+    from ahrs_sim.metrics import interpolate
 
     return interpolate(t, q, at)
 

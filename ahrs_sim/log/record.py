@@ -23,11 +23,11 @@ from typing import Any, Self, TypeVar
 
 import numpy as np
 
+from ahrs_sim import consistency, metrics
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
 from ahrs_sim.log.reader import LogReader, quaternion, stamps, vector
 from ahrs_sim.log.writer import Listener, LogChannel, LogWriter
-from ahrs_sim.review import consistency, metrics
 from ahrs_sim.sensors.records import (
     AirRecord,
     AttitudeRecord,

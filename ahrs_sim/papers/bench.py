@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 import estimators
+from ahrs_sim import metrics
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.flight import open_flight
 from ahrs_sim.flight.truth import Truth
-from ahrs_sim.review import metrics
 from ahrs_sim.scenario import Scenario
 from ahrs_sim.sensors import Assembler, make_suite
 from ahrs_sim.world import gravity, magnetic

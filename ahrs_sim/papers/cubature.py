@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from ahrs_sim import metrics
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.papers import Claim, Reproduction, Verdict, holds
 from ahrs_sim.papers.bench import Flown, Measured, fly, measure, rms, thinned, time_first, time_until, turned
 from ahrs_sim.papers.fuzzy import words
-from ahrs_sim.review import metrics
 
 RUNS = 4
 SETTLED = 80.0

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from ahrs_sim import consistency, metrics
 from ahrs_sim.bags import frames
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.log.reader import quaternion, stamps, vector
 from ahrs_sim.log.record import REFERENCE, STATE, FlightReader
-from ahrs_sim.review import metrics
 from estimators.types import Estimates
 
 TRUTH_TOPIC = "/truth/imu"
@@ -415,8 +415,6 @@ def attitude(log: FlightReader, topic: str) -> tuple[np.ndarray, np.ndarray]:
 
 def _honesty(block: Estimates, reference: np.ndarray) -> np.ndarray:
     """(n, 3) float32: NEES of the attitude per degree of freedom; NIS and its degrees of freedom."""
-    from ahrs_sim.review import consistency  # scipy: not for every comparison
-
     nees = consistency.attitude_nees(block.q_nb, block.att_cov.astype(float), reference)
     nis = consistency.nis(block.innovation.astype(float), block.innovation_var.astype(float))
     return np.column_stack([nees / 3.0, *nis]).astype(np.float32)

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from ahrs_sim import metrics
 from ahrs_sim.errors import InputError
 from ahrs_sim.log.reader import LogReader, flatten, stamps
 from ahrs_sim.log.record import FlightReader
-from ahrs_sim.review import metrics
 
 if TYPE_CHECKING:
     import pandas

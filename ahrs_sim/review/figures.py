@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ahrs_sim import metrics
 from ahrs_sim.errors import InputError
-from ahrs_sim.review import metrics
 from ahrs_sim.review.traces import EstimatorTrace, FlightTraces
 
 if TYPE_CHECKING:

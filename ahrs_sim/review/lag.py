@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ahrs_sim import metrics
 from ahrs_sim.errors import InputError
 from ahrs_sim.log.reader import quaternion, stamps, vector
 from ahrs_sim.log.record import REFERENCE, STATE, FlightReader
-from ahrs_sim.review import compare, metrics
+from ahrs_sim.review import compare
 
 LONGEST = 0.5
 """s: no lag is looked for beyond."""

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from ahrs_sim import metrics
 from ahrs_sim.bags.frames import product
-from ahrs_sim.review import metrics
 
 LONGEST = 1.0
 """s: no delay is looked for beyond this."""

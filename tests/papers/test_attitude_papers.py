@@ -5,9 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from ahrs_sim import cli, papers
+from ahrs_sim import cli, metrics, papers
 from ahrs_sim.papers import Claim, Reproduction, Verdict, bench, fuzzy
-from ahrs_sim.review import metrics
 
 
 def test_a_motion_is_measured_and_estimated_without_a_log():

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from ahrs_sim.review import consistency, metrics
+from ahrs_sim import consistency, metrics
 
 RNG = np.random.default_rng(5)
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from ahrs_sim.review import metrics
+from ahrs_sim import metrics
 
 ANGLE = st.floats(-3.1, 3.1)
 PITCH = st.floats(-1.4, 1.4)

@@ -8,7 +8,7 @@ so that sums over time obey the law too; estimation errors are not, so that NEES
 
 import numpy as np
 
-from ahrs_sim.review import metrics
+from ahrs_sim import metrics
 
 
 def chi_square_bounds(freedom: np.ndarray | float, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
