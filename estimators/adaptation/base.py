@@ -62,7 +62,7 @@ def disturbed(model: Any) -> tuple[int, int, int]:  # type: ignore[empty-body]
 
 @generic
 def magnetic(model: Any) -> tuple[int, int, int]:  # type: ignore[empty-body]
-    """Of a model: rows of z (from, end) that come from the magnetometer, and their sensor; (0, 0, 0) without one."""
+    """Of a model: rows of z (from, end) that come from the magnetometer, and their sensor; (0, 0, 0) without."""
 
 
 @default
@@ -93,7 +93,7 @@ def _disturbed(model: Any) -> tuple[int, int, int]:
 
 @default
 def _magnetic(model: Any) -> tuple[int, int, int]:
-    return 3, 6, 1  # the magnetometer comes second
+    return 0, 0, 0
 
 
 @njit

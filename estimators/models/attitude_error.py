@@ -180,6 +180,10 @@ def _six(model: Any) -> int:
     return 6
 
 
+def _magnetic(model: Any) -> tuple[int, int, int]:
+    return 3, 6, 1
+
+
 register(
     AttitudeError,
     size=_six,
@@ -197,6 +201,7 @@ register(
     difference=_difference,
     constrain=_constrain,
     report=_report,
+    magnetic=_magnetic,
 )
 
 _FLOOR = (1e-5, 1e-14, 1e-7)  # m/s2, T, rad/s/sqrt(Hz): no sensor is taken for better than this

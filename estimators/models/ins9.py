@@ -329,10 +329,6 @@ def _nine(model: Any) -> int:
     return 9
 
 
-def _no_magnetometer(model: Any) -> tuple[int, int, int]:
-    return 0, 0, 0
-
-
 def _disturbed(model: Any) -> tuple[int, int, int]:
     return _Z_COURSE, _Z_COURSE + 1, 3
 
@@ -356,7 +352,6 @@ register(
     constrain=_constrain,
     report=_report,
     disturbed=_disturbed,
-    magnetic=_no_magnetometer,
 )
 
 

@@ -318,6 +318,10 @@ def _read(model: Any) -> int:
     return 7  # quaternion and rate
 
 
+def _magnetic(model: Any) -> tuple[int, int, int]:
+    return 3, 6, 1
+
+
 register(
     Marg,
     size=_size,
@@ -333,6 +337,7 @@ register(
     measurement_noise=_measurement_noise,
     constrain=_constrain,
     report=_report,
+    magnetic=_magnetic,
 )
 
 _GROUPS = {  # start, rows, from, read, linear

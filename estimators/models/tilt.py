@@ -143,10 +143,6 @@ def _three(model: Any) -> int:
     return 3
 
 
-def _no_magnetometer(model: Any) -> tuple[int, int, int]:
-    return 0, 0, 0
-
-
 register(
     Tilt,
     size=_three,
@@ -162,7 +158,6 @@ register(
     measurement_noise=_measurement_noise,
     constrain=_constrain,
     report=_report,
-    magnetic=_no_magnetometer,
 )
 
 
