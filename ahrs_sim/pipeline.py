@@ -20,7 +20,8 @@ import estimators
 from ahrs_sim.errors import FlightError, InputError
 from ahrs_sim.flight import BLOCK_S, Flight, open_flight
 from ahrs_sim.flight.truth import Event, Truth
-from ahrs_sim.log.record import TRUTH_RATE, Every, FlightLog
+from ahrs_sim.log.flight_log import Every, FlightLog
+from ahrs_sim.log.topics import TRUTH_RATE
 from ahrs_sim.log.writer import Listener
 from ahrs_sim.scenario import Component, Scenario
 from ahrs_sim.sensors import Assembler, Suite, make_suite

@@ -17,7 +17,9 @@ import numpy as np
 import estimators as library
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.errors import InputError
-from ahrs_sim.log.record import INSTRUMENTS, REFERENCE, EstimateTopics, FlightReader
+from ahrs_sim.log.flight_log import EstimateTopics
+from ahrs_sim.log.flight_reader import FlightReader
+from ahrs_sim.log.topics import INSTRUMENTS, REFERENCE
 from ahrs_sim.log.writer import CarriedChannel, Listener, LogWriter
 from ahrs_sim.scenario import Component
 from ahrs_sim.sensors.assemble import Assembler

@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from ahrs_sim import metrics, pipeline, scenario
-from ahrs_sim.log.record import FlightReader
+from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.review import compare
 
 HERE = Path(__file__).parent

@@ -14,8 +14,8 @@ import pytest
 
 from ahrs_sim import pipeline, scenario
 from ahrs_sim.cli import main
+from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.reader import LogReader
-from ahrs_sim.log.record import FlightReader
 
 ROOT = Path(__file__).parents[1]
 

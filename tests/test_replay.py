@@ -15,8 +15,8 @@ import estimators
 from ahrs_sim import consistency, metrics, pipeline, replay, scenario
 from ahrs_sim.cli import main
 from ahrs_sim.errors import InputError
+from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.reader import LogReader
-from ahrs_sim.log.record import FlightReader
 from ahrs_sim.review import compare, report, traces
 
 DATA = Path(__file__).parents[1].parent / "shared" / "data"

@@ -8,26 +8,26 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from ahrs_sim.log import messages, record
-from ahrs_sim.log.record import Route
+from ahrs_sim.log import messages, topics
+from ahrs_sim.log.topics import Route
 
 BEGIN, END = "<!-- from here on: python -m ahrs_sim.log.describe -->", "<!-- to here -->"
 
 
 def reference() -> str:
     """Tables of all topics and of our own types, in Markdown."""
-    suite = [_behind("/<suite>", route) for _, route in record.INSTRUMENTS.values()]
-    suite += [_behind("/<suite>", route) for route in record.STATUS.values()]
-    suite.append(_behind("/<suite>", record.TEMPERATURE))
+    suite = [_behind("/<suite>", route) for _, route in topics.INSTRUMENTS.values()]
+    suite += [_behind("/<suite>", route) for route in topics.STATUS.values()]
+    suite.append(_behind("/<suite>", topics.TEMPERATURE))
     estimator = [
-        _behind("/est/<name>", route) for route in (record.STATE, record.ESTIMATED_IMU, record.ATTITUDE, record.ERRORS)
+        _behind("/est/<name>", route) for route in (topics.STATE, topics.ESTIMATED_IMU, topics.ATTITUDE, topics.ERRORS)
     ]
-    truth = (*record.TRUTH, record.TRUTH_ATTITUDE, record.TRUTH_FIX, record.TF, record.TF_STATIC)
+    truth = (*topics.TRUTH, topics.TRUTH_ATTITUDE, topics.TRUTH_FIX, topics.TF, topics.TF_STATIC)
     parts = ["## Topics", "", "### Truth", "", *_topics(truth)]
     parts += ["", "### Each sensor suite", "", *_topics(suite)]
     parts += ["", "### Each estimator", "", *_topics(estimator)]
-    parts += ["", "### Pilot and events", "", *_topics((record.SETPOINTS, record.EVENTS)), ""]
-    parts += ["### Replay of a bag", "", *_topics((record.REFERENCE,)), ""]
+    parts += ["", "### Pilot and events", "", *_topics((topics.SETPOINTS, topics.EVENTS)), ""]
+    parts += ["### Replay of a bag", "", *_topics((topics.REFERENCE,)), ""]
     parts += ["## Types of our own", ""]
     for name in messages.type_names():
         if name.startswith("ahrs_sim_msgs/"):

@@ -12,8 +12,9 @@ import numpy as np
 from ahrs_sim import consistency, metrics
 from ahrs_sim.bags import frames
 from ahrs_sim.errors import InputError, nearest
+from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.reader import quaternion, stamps, vector
-from ahrs_sim.log.record import REFERENCE, STATE, FlightReader
+from ahrs_sim.log.topics import REFERENCE, STATE
 from estimators.types import Estimates
 
 TRUTH_TOPIC = "/truth/imu"

@@ -16,8 +16,8 @@ import numpy as np
 
 from ahrs_sim import metrics
 from ahrs_sim.errors import InputError
+from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.reader import LogReader, flatten, stamps
-from ahrs_sim.log.record import FlightReader
 
 if TYPE_CHECKING:
     import pandas

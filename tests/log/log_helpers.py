@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
-from ahrs_sim.log.record import INSTRUMENTS, FlightLog
+from ahrs_sim.log.flight_log import FlightLog
+from ahrs_sim.log.topics import INSTRUMENTS
 from ahrs_sim.sensors.records import Record
 from estimators.types import Columns, Estimates, blank
 

@@ -25,8 +25,9 @@ from ahrs_sim.errors import InputError, LogError
 from ahrs_sim.log import info, messages
 from ahrs_sim.log.cdr import encode
 from ahrs_sim.log.container import Container
+from ahrs_sim.log.flight_log import HOLD_S
+from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.reader import LogReader, stamps, vector
-from ahrs_sim.log.record import HOLD_S, FlightReader
 from ahrs_sim.log.recover import recover
 from ahrs_sim.log.writer import LogWriter
 
@@ -273,7 +274,7 @@ def test_misuse_is_refused(tmp_path: Path) -> None:
 
 def test_error_in_flight_keeps_the_part(flight: MadeUpFlight, log: Path, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    from ahrs_sim.log.record import FlightLog
+    from ahrs_sim.log.flight_log import FlightLog
 
     with pytest.raises(RuntimeError), FlightLog(path, **flight.header()) as writer:
         flight.feed(writer)
@@ -313,7 +314,7 @@ def test_killed_while_writing(tmp_path: Path) -> None:
         from pathlib import Path
         sys.path.insert(0, {str(Path(__file__).parent)!r})
         from log_helpers import MadeUpFlight
-        from ahrs_sim.log.record import FlightLog
+        from ahrs_sim.log.flight_log import FlightLog
         flight = MadeUpFlight(3.0)
         log = FlightLog(sys.argv[1], **flight.header())
         flight.feed(log, 0.5)

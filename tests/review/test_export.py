@@ -13,8 +13,8 @@ import ahrs_sim
 from ahrs_sim import cli
 from ahrs_sim.errors import InputError
 from ahrs_sim.log import layouts
+from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.layouts.__main__ import ESTIMATORS, SUITES
-from ahrs_sim.log.record import FlightReader
 from ahrs_sim.review.export import export
 
 ROOT = Path(__file__).parents[2]

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ahrs_sim import pipeline, scenario
-from ahrs_sim.log.record import FlightReader
+from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.sensors.faults import KINDS
 
 

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from ahrs_sim.errors import InputError
-from ahrs_sim.log.record import TRUTH_ATTITUDE, FlightReader
+from ahrs_sim.log.flight_reader import FlightReader
+from ahrs_sim.log.topics import TRUTH_ATTITUDE
 
 Node = str | dict[str, Any]
 

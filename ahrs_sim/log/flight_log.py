@@ -1,0 +1,343 @@
+"""Writing the log of a flight, block by block.
+
+    with FlightLog("flight.mcap", epoch_ns=epoch, suites={"chr": ["imu", "mag"]}, estimators=["ekf"]) as log:
+        log.truth(truth)
+        log.record("chr", "imu", records)
+        log.estimates("ekf", estimates)
+        log.advance(t)
+
+What goes where, and how exactly, is in `ahrs_sim.log.topics`.
+"""
+
+import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self, TypeVar
+
+import numpy as np
+
+from ahrs_sim import consistency, metrics
+from ahrs_sim.flight.truth import Event, Setpoints, Truth
+from ahrs_sim.log.topics import (
+    ATTITUDE,
+    ERRORS,
+    ESTIMATED_IMU,
+    EVENTS,
+    FIX_RATE,
+    INSTRUMENTS,
+    ODOMETRY,
+    PLOT_RATE,
+    SETPOINTS,
+    STATE,
+    STATUS,
+    TEMPERATURE,
+    TEMPERATURE_EVERY,
+    TF,
+    TF_RATE,
+    TF_STATIC,
+    TRUTH,
+    TRUTH_ATTITUDE,
+    TRUTH_FIX,
+    TRUTH_RATE,
+    Route,
+)
+from ahrs_sim.log.writer import Listener, LogChannel, LogWriter
+from ahrs_sim.sensors.records import FixRecord, ImuRecord, MagRecord, Record
+from ahrs_sim.world import wgs84
+from estimators.types import Columns, Estimates
+
+HOLD_S = 0.5
+"""How long after its own time a message may still come: sensors deliver late, estimates follow them."""
+
+_REMEMBERED_S = 5.0  # of the reference, longer than estimates lag behind it
+
+B = TypeVar("B", bound=Columns)
+
+
+class Every:
+    """Picks every k-th row of a stream that comes in blocks of any length."""
+
+    def __init__(self, k: float) -> None:
+        self.k = max(1, round(k))
+        self.seen = 0
+
+    def rows(self, n: int) -> np.ndarray:
+        """Which of the next `n` rows to take."""
+        first = -self.seen % self.k
+        self.seen += n
+        return np.arange(first, n, self.k)
+
+
+class EstimateTopics:
+    """What estimators say, `/est/NAME/state` and `/est/NAME/imu`, into a log not started yet.
+
+    Args:
+        writer: of the log.
+        epoch_ns: zero of the estimates' time, ns since 1970.
+        names: of the estimators.
+    """
+
+    def __init__(self, writer: LogWriter, epoch_ns: int, names: Iterable[str]) -> None:
+        self.writer, self.epoch_ns = writer, epoch_ns
+        self._channels = {
+            name: [route.channel(writer, f"/est/{name}") for route in (STATE, ESTIMATED_IMU, ATTITUDE, ERRORS)]
+            for name in names
+        }
+        self._cell = dict.fromkeys(self._channels, -(2**62))  # of PLOT_RATE, the last one plotted
+        self._unjudged: dict[str, tuple[np.ndarray, ...]] = {}  # t, q_nb, down_b, att_cov the reference has not reached
+        self._reference = np.empty(0), np.empty((0, 4))
+
+    def reference(self, t: np.ndarray, q_nb: np.ndarray) -> None:
+        """What errors are taken against, before the estimates of that time: `t` (n,) s rising, `q_nb` (n, 4)."""
+        if not len(t):
+            return
+        times, attitudes = self._reference
+        kept = times > (times[-1] if len(times) else 0.0) - _REMEMBERED_S
+        self._reference = np.concatenate([times[kept], t]), np.concatenate([attitudes[kept], q_nb])
+
+    def write(self, name: str, block: Estimates) -> None:
+        """A block of one estimator."""
+        if not len(block):
+            return
+        times = nanoseconds(self.epoch_ns, block.t)
+        state, imu, _, _ = self._channels[name]
+        self.writer.write(state, times, times, **STATE.columns(block))
+        self._plotted(name, block)
+        known = np.isfinite(block.q_nb).all(axis=1)
+        if known.any():
+            block, times = _picked(block, known), times[known]
+            covariance = np.nan_to_num(block.att_cov)
+            self.writer.write(imu, times, times, orientation=block.q_nb, orientation_covariance=covariance)
+
+    def _plotted(self, name: str, block: Estimates) -> None:
+        """Attitudes and errors of a block, which may have to wait for their reference."""
+        _, _, attitude, errors = self._channels[name]
+        cell = np.floor(block.t * PLOT_RATE + 1e-6).astype(np.int64)
+        rows = np.flatnonzero(np.diff(cell, prepend=self._cell[name]))
+        self._cell[name] = int(cell[-1])
+        rows = rows[np.isfinite(block.down_b[rows]).all(axis=1)]
+        said: tuple[np.ndarray, ...] = block.t[rows], block.q_nb[rows], block.down_b[rows], block.att_cov[rows]
+        t, q_nb, down_b, att_cov = said
+        times = nanoseconds(self.epoch_ns, t)
+        roll, pitch = metrics.roll_pitch(down_b)
+        heading = np.mod(metrics.euler(q_nb)[:, 2], 2 * np.pi)
+        self.writer.write(attitude, times, times, roll=roll, pitch=pitch, heading=heading)
+
+        if name in self._unjudged:
+            said = tuple(np.concatenate(parts) for parts in zip(self._unjudged[name], said, strict=True))
+        t, q_nb, down_b, att_cov = said
+        reached, reference = self._reference
+        wait = t > (reached[-1] if len(reached) > 1 else -np.inf)
+        self._unjudged[name] = tuple(column[wait & (t > t[-1:] - HOLD_S)] for column in said)
+        if wait.all():
+            return
+        truth = metrics.interpolate(reached, reference, t)
+        known = ~wait & np.isfinite(truth).all(axis=1)
+        t, q_nb, down_b, att_cov, truth = t[known], q_nb[known], down_b[known], att_cov[known], truth[known]
+        columns = dict(zip(metrics.MEASURES, metrics.attitude_errors(q_nb, down_b, truth).T, strict=True))
+        sigma = consistency.euler_sigma(q_nb, att_cov)
+        columns |= {f"{axis}_sigma": s for axis, s in zip(metrics.MEASURES, sigma.T, strict=False)}
+        times = nanoseconds(self.epoch_ns, t)
+        self.writer.write(errors, times, times, **columns)
+
+
+def nanoseconds(epoch_ns: int, t: np.ndarray) -> np.ndarray:
+    """Times of flight `t` (s) in ns since 1970."""
+    return epoch_ns + np.rint(t * 1e9).astype(np.int64)
+
+
+class FlightLog:
+    """The log of a flight being flown; see `LogWriter` for how it behaves as a context manager and when it fails.
+
+    Args:
+        path: name of the finished log.
+        epoch_ns: zero of the flight's time, ns since 1970.
+        truth_rate: Hz, rows of the truth per second; logged at `TRUTH_RATE` or less.
+        suites: instruments (keys of `INSTRUMENTS`) by name of the suite.
+        estimators: their names.
+        attachments: contents by file name: scenario, aircraft.
+        metadata: records of names and values: seeds, versions, specifications.
+        force: overwrite an existing log.
+        chunk_s: what a crash can cost, s.
+        listener: is given all messages, too.
+
+    Raises:
+        InputError: the log exists, or cannot be created.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        epoch_ns: int,
+        truth_rate: float = 400.0,
+        suites: Mapping[str, Sequence[str]] | None = None,
+        estimators: Iterable[str] = (),
+        attachments: Mapping[str, bytes] | None = None,
+        metadata: Mapping[str, Mapping[str, str]] | None = None,
+        force: bool = False,
+        chunk_s: float = 1.0,
+        listener: Listener | None = None,
+    ) -> None:
+        self.epoch_ns = epoch_ns
+        self.writer = writer = LogWriter(path, epoch_ns=epoch_ns, force=force, chunk_s=chunk_s, listener=listener)
+        self._origin: np.ndarray | None = None
+        self._logged = Every(truth_rate / TRUTH_RATE)
+        self._moved = Every(truth_rate / TF_RATE)
+        self._fixed = Every(truth_rate / FIX_RATE)
+        self._plotted = Every(truth_rate / PLOT_RATE)
+        self._warmed: dict[str, Every] = {}
+        self._saturated: dict[tuple[str, str], bool] = {}
+
+        self._tf_static = self._frames(TF_STATIC)
+        self._tf = self._frames(TF)
+        self._truth = [(route, route.channel(writer)) for route in TRUTH]
+        self._fix = TRUTH_FIX.channel(writer)
+        self._attitude = TRUTH_ATTITUDE.channel(writer)
+        self._events = EVENTS.channel(writer)
+        self._setpoints = SETPOINTS.channel(writer)
+        self._instruments: dict[tuple[str, str], LogChannel] = {}
+        self._status: dict[tuple[str, str], LogChannel] = {}
+        self._temperature: dict[str, LogChannel] = {}
+        for suite, instruments in (suites or {}).items():
+            for instrument in instruments:
+                key = suite, instrument
+                self._instruments[key] = INSTRUMENTS[instrument][1].channel(writer, f"/{suite}")
+                if instrument in STATUS:
+                    self._status[key] = STATUS[instrument].channel(writer, f"/{suite}")
+                if instrument == "imu":
+                    self._temperature[suite] = TEMPERATURE.channel(writer, f"/{suite}")
+                    self._warmed[suite] = Every(TEMPERATURE_EVERY)
+        self._estimates = EstimateTopics(writer, epoch_ns, estimators)
+        for name, values in (metadata or {}).items():
+            writer.metadata(name, values)
+        for name, data in (attachments or {}).items():
+            writer.attach(name, data, _MEDIA.get(Path(name).suffix, "application/octet-stream"))
+        writer.start()
+        now = np.array([epoch_ns])
+        writer.write(self._tf_static, now, now)
+
+    def _frames(self, route: Route) -> LogChannel:
+        return self.writer.add_channel(route.topic, route.type_name, constant=route.constant)
+
+    def _ns(self, t: np.ndarray) -> np.ndarray:
+        return nanoseconds(self.epoch_ns, t)
+
+    def truth(self, block: Truth) -> None:
+        """The truth, all rows of the flight in order; every k-th is kept."""
+        if not len(block):
+            return
+        if self._origin is None:
+            self._origin = block.lla[0].copy()
+        times = self._ns(block.t)
+        rows = self._logged.rows(len(block))
+        logged = _picked(block, rows)
+        for route, channel in self._truth:
+            columns = route.columns(logged)
+            if route is ODOMETRY:
+                columns["pose.pose.position"] = _offset_n(logged.lla, self._origin)
+                columns["twist.twist.linear"] = _to_body(logged.q_nb, logged.vel_n)
+                columns["twist.twist.angular"] = logged.rate_ib_b
+            self.writer.write(channel, times[rows], times[rows], **columns)
+        self._estimates.reference((times[rows] - self.epoch_ns) / 1e9, logged.q_nb)  # as a replay will read it
+        rows = self._plotted.rows(len(block))
+        roll, pitch, heading = metrics.euler(block.q_nb[rows]).T
+        heading = np.mod(heading, 2 * np.pi)
+        self.writer.write(self._attitude, times[rows], times[rows], roll=roll, pitch=pitch, heading=heading)
+        rows = self._moved.rows(len(block))
+        moved = {
+            "transforms.0.transform.translation": _offset_n(block.lla[rows], self._origin),
+            "transforms.0.transform.rotation": block.q_nb[rows],
+        }
+        self.writer.write(self._tf, times[rows], times[rows], **moved)
+        rows = self._fixed.rows(len(block))
+        latitude, longitude, height = block.lla[rows].T
+        self.writer.write(
+            self._fix,
+            times[rows],
+            times[rows],
+            latitude=np.degrees(latitude),
+            longitude=np.degrees(longitude),
+            altitude=height,
+        )
+
+    def record(self, suite: str, instrument: str, block: Record) -> None:
+        """What an instrument has sent, in the order of its stamps."""
+        if not len(block):
+            return
+        route = INSTRUMENTS[instrument][1]
+        columns = route.columns(block)
+        arrival, stamp = self.epoch_ns + block.arrival_ns, self.epoch_ns + block.stamp_ns
+        if isinstance(block, FixRecord):
+            covariance = np.zeros((len(block), 9))
+            covariance[:, [4, 0, 8]] = block.sigma**2  # north, east, down of a matrix in east, north, up
+            columns["position_covariance"] = covariance
+        self.writer.write(self._instruments[suite, instrument], arrival, stamp, **columns)
+        if (suite, instrument) in self._status:
+            rows = np.arange(len(block))
+            if isinstance(block, ImuRecord | MagRecord):
+                before = np.r_[self._saturated.get((suite, instrument), not block.saturated[0]), block.saturated[:-1]]
+                rows = np.flatnonzero(block.saturated != before)
+                self._saturated[suite, instrument] = bool(block.saturated[-1])
+            columns = STATUS[instrument].columns(_picked(block, rows))
+            self.writer.write(self._status[suite, instrument], arrival[rows], stamp[rows], **columns)
+        if isinstance(block, ImuRecord):
+            rows = self._warmed[suite].rows(len(block))
+            celsius = block.temperature[rows] - 273.15
+            self.writer.write(self._temperature[suite], arrival[rows], stamp[rows], temperature=celsius)
+
+    def estimates(self, name: str, block: Estimates) -> None:
+        """What an estimator says."""
+        self._estimates.write(name, block)
+
+    def setpoints(self, block: Setpoints) -> None:
+        """What the pilot asks for."""
+        times = self._ns(block.t)
+        self.writer.write(self._setpoints, times, times, **SETPOINTS.columns(block))
+
+    def events(self, events: Iterable[Event]) -> None:
+        """Events, at most `HOLD_S` older than the last `advance`."""
+        for event in events:
+            t = int(self._ns(np.array(event.t)))
+            self.writer.event(self._events, t, level=event.level, name=event.name, text=event.text)
+
+    def advance(self, t: float) -> None:
+        """All that happened up to `t` (s of flight) has been given; what is `HOLD_S` older may go to the file."""
+        self.writer.advance(self.epoch_ns + round((t - HOLD_S) * 1e9))
+
+    def close(self) -> None:
+        """Finish the log and give it its name."""
+        self.writer.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.writer.__exit__(kind, error, trace)
+
+
+_MEDIA = {".toml": "application/toml", ".xml": "application/xml", ".txt": "text/plain", ".json": "application/json"}
+
+
+def _picked(block: B, rows: np.ndarray) -> B:
+    return type(block)(*(getattr(block, f.name)[rows] for f in dataclasses.fields(block)))
+
+
+def _offset_n(lla: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Positions (n, 3) m in the NED frame at `origin` (3,).
+
+    `wgs84.offset_n`, but in sums that round alike however many rows there are (a matrix product does not): the log's
+    bytes may not depend on the length of a block.
+    """
+    x, y, z = (wgs84.ecef(lla) - wgs84.ecef(origin)).T
+    return np.stack([x * a + y * b + z * c for a, b, c in wgs84.ned_axes(origin[0], origin[1])], axis=-1)
+
+
+def _to_body(q_nb: np.ndarray, v_n: np.ndarray) -> np.ndarray:
+    """Vectors (n, 3) from NED to body axes."""
+    w, axis = q_nb[:, :1], -q_nb[:, 1:]
+    t = 2.0 * np.cross(axis, v_n)
+    return v_n + w * t + np.cross(axis, t)

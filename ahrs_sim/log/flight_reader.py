@@ -1,0 +1,178 @@
+"""Reading the log of a flight back as the blocks it was made of.
+
+    with FlightReader("flight.mcap") as log:
+        truth, imu, estimates = log.truth(), log.record("chr", "imu"), log.estimates("ekf")
+
+They come back bit for bit, but for what `ahrs_sim.log.topics` says is rounded.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from ahrs_sim.errors import InputError, nearest
+from ahrs_sim.flight.truth import Event, Setpoints, Truth
+from ahrs_sim.log.reader import LogReader, stamps
+from ahrs_sim.log.topics import (
+    EVENTS,
+    HEARD,
+    INSTRUMENTS,
+    ODOMETRY,
+    SETPOINTS,
+    STATE,
+    STATUS,
+    TEMPERATURE,
+    TRUTH,
+    Route,
+)
+from ahrs_sim.sensors.records import AttitudeRecord, FixRecord, ImuRecord, Record, SuiteBlock
+from estimators.types import Estimates, blank
+
+
+class FlightReader(LogReader):
+    """A log of ours as the blocks it was made of.
+
+    Start and end are seconds of flight in log time; `end` itself is left out.
+    """
+
+    @property
+    def suites(self) -> dict[str, list[str]]:
+        """Instruments by suite."""
+        found: dict[str, list[str]] = {}
+        for topic in self.topics:
+            for instrument, (_, route) in INSTRUMENTS.items():
+                suite = topic[1 : -len(route.topic)]
+                if topic.endswith(route.topic) and suite and "/" not in suite and suite != "truth":
+                    found.setdefault(suite, []).append(instrument)
+        return found
+
+    @property
+    def estimators(self) -> list[str]:
+        """Names of the estimators."""
+        ends = "/est/", STATE.topic
+        return [t[len(ends[0]) : -len(ends[1])] for t in self.topics if t.startswith(ends[0]) and t.endswith(ends[1])]
+
+    def seconds(self, ns: np.ndarray) -> np.ndarray:
+        """Time of flight (s) of times in ns since 1970."""
+        return (ns - self.epoch_ns) / 1e9
+
+    def truth(self, start: float | None = None, end: float | None = None) -> Truth:
+        """The truth at its logged rate.
+
+        Raises:
+            InputError: not in this log.
+        """
+        arrays = self.read([route.topic for route in TRUTH], *self._span(start, end))
+        n = min(len(array) for array in arrays.values())  # a recovered log may end between two
+        columns = blank(Truth, n)
+        for route in TRUTH:
+            route.put(columns, arrays[route.topic][:n])
+        columns["t"][:] = self.seconds(stamps(arrays[ODOMETRY.topic][:n]))
+        return Truth(**columns)
+
+    def record(self, suite: str, instrument: str, start: float | None = None, end: float | None = None) -> Record:
+        """What an instrument has sent, in the order of arrival.
+
+        Raises:
+            InputError: not in this log.
+        """
+        if instrument not in INSTRUMENTS:
+            raise InputError(f"{self.path}: no instrument '{instrument}'{nearest(instrument, INSTRUMENTS)}")
+        kind, route = INSTRUMENTS[instrument]
+        span = self._span(start, end)
+        array = self.read(f"/{suite}{route.topic}", *span)
+        columns = self._columns(kind, route, array)
+        if instrument in STATUS and f"/{suite}{STATUS[instrument].topic}" in self.topics:  # a bag's suite has none
+            # The last status with a stamp not after the message's.
+            status = self.read(f"/{suite}{STATUS[instrument].topic}", None, span[1])
+            rows = np.searchsorted(stamps(status), stamps(array), "right") - 1
+            if len(status):
+                STATUS[instrument].put(columns, status[np.maximum(rows, 0)])
+        if kind is ImuRecord and f"/{suite}{TEMPERATURE.topic}" in self.topics:
+            array = self.read(f"/{suite}{TEMPERATURE.topic}", *span)
+            if len(array):
+                kelvin = array["temperature"] + 273.15
+                columns["temperature"][:] = np.interp(columns["stamp_ns"], stamps(array) - self.epoch_ns, kelvin)
+        return kind(**columns)
+
+    def suite_blocks(
+        self, names: Sequence[str], beside: Callable[[dict[str, np.ndarray]], None] | None = None, *topics: str
+    ) -> Iterator[dict[str, SuiteBlock]]:
+        """What the instruments of several suites have sent, by suite, portion by portion in the order of arrival.
+
+        Only what estimators see: states of saturation and temperatures are left out. The first suite also has the true
+        attitude, as `reference`, where the log has it.
+
+        Args:
+            names: the suites.
+            beside: given, before each portion, the messages of `topics` up to the same log time (no `reference` then).
+            topics: see `beside`.
+
+        Raises:
+            InputError: a suite is not in this log.
+        """
+        if unknown := [name for name in names if name not in self.suites]:
+            raise InputError(f"{self.path}: no suite '{unknown[0]}'{nearest(unknown[0], self.suites)}")
+        heard = [(suite, i) for suite in names for i in self.suites[suite] if i in HEARD]
+        instruments = {f"/{suite}{INSTRUMENTS[i][1].topic}": (suite, i) for suite, i in heard}
+        satellites = {f"/{suite}{STATUS[i].topic}": suite for suite, i in heard if i == "fix"}
+        truth = [ODOMETRY.topic] if ODOMETRY.topic in self.topics and not beside else []
+        for messages in self.blocks([*instruments, *satellites, *truth, *topics]):
+            if beside:
+                beside(messages)
+            found: dict[str, SuiteBlock] = {suite: {} for suite in names}
+            for topic in truth:
+                found[names[0]]["reference"] = AttitudeRecord(
+                    **self._columns(AttitudeRecord, ODOMETRY, messages[topic])
+                )
+            for topic, (suite, instrument) in instruments.items():
+                kind, route = INSTRUMENTS[instrument]
+                columns = self._columns(kind, route, messages[topic])
+                if kind is FixRecord:  # one status a fix, sent with it
+                    status = messages[f"/{suite}{STATUS[instrument].topic}"]
+                    rows = np.searchsorted(stamps(status), columns["stamp_ns"] + self.epoch_ns, "right") - 1
+                    if len(status):
+                        STATUS[instrument].put(columns, status[np.maximum(rows, 0)])
+                found[suite][instrument] = kind(**columns)
+            yield found
+
+    def _columns(self, kind: type[Record], route: Route, array: np.ndarray) -> dict[str, np.ndarray]:
+        columns = blank(kind, len(array))
+        route.put(columns, array)
+        columns["stamp_ns"][:] = stamps(array) - self.epoch_ns
+        columns["arrival_ns"][:] = array["log_time"] - self.epoch_ns
+        if kind is FixRecord:
+            columns["sigma"][:] = np.sqrt(array["position_covariance"][:, [4, 0, 8]])
+        return columns
+
+    def estimates(self, name: str, start: float | None = None, end: float | None = None) -> Estimates:
+        """What an estimator said.
+
+        Raises:
+            InputError: not in this log.
+        """
+        array = self.read(f"/est/{name}{STATE.topic}", *self._span(start, end))
+        columns = blank(Estimates, len(array))
+        STATE.put(columns, array)
+        columns["t"][:] = self.seconds(stamps(array))
+        return Estimates(**columns)
+
+    def setpoints(self, start: float | None = None, end: float | None = None) -> Setpoints:
+        """What the pilot asked for."""
+        array = self.read(SETPOINTS.topic, *self._span(start, end))
+        columns = blank(Setpoints, len(array))
+        SETPOINTS.put(columns, array)
+        columns["t"][:] = self.seconds(stamps(array))
+        return Setpoints(**columns)
+
+    def events(self) -> list[Event]:
+        """All events in order."""
+        array = self.read(EVENTS.topic)
+        return [
+            Event(float(t), row["level"], row["name"], row["text"])
+            for t, row in zip(self.seconds(stamps(array)), array, strict=True)
+        ]
+
+    def _span(self, start: float | None, end: float | None) -> tuple[int | None, int | None]:
+        first, last = (None if t is None else self.epoch_ns + round(t * 1e9) for t in (start, end))
+        return first, last
