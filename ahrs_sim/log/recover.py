@@ -19,7 +19,7 @@ from mcap.records import Attachment, Chunk, Header, Metadata
 
 from ahrs_sim.errors import InputError, LogError
 from ahrs_sim.log.container import MAGIC, RECORD_HEAD, Container, Index
-from ahrs_sim.log.reader import (
+from ahrs_sim.log.pieces import (
     Contents,
     Damaged,
     find_messages,
