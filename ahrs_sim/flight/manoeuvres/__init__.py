@@ -1,0 +1,44 @@
+"""The manoeuvres a scenario can ask for: one small class each, all of one shape.
+
+A `[[step]]` table names a manoeuvre (`do = "turn"`) and its parameters. `parse_steps` makes objects of them before any
+aircraft exists, so that bad input is found first. In flight the pilot calls `begin` once and `step` 50 times a second
+until it returns True; a manoeuvre only changes set-points of the autopilot. Heights are above the ground at the start,
+angles to the right and upwards are positive.
+
+Every manoeuvre takes `timeout_s`, after which it has failed; those that fly also `airspeed_mps`, a new speed to hold.
+"""
+
+from collections.abc import Sequence
+
+from ahrs_sim.errors import InputError, nearest
+from ahrs_sim.flight.manoeuvres.base import Failure, Manoeuvre
+from ahrs_sim.flight.manoeuvres.ordinary import Climb, Descend, FigureEight, Orbit, Set, Straight, Turn, Wait
+from ahrs_sim.flight.manoeuvres.runway import Approach, Land, Takeoff
+from ahrs_sim.flight.manoeuvres.violent import Doublet, Loop, PullUp, Roll, WindupTurn
+from ahrs_sim.table import Table
+
+__all__ = ["MANOEUVRES", "Failure", "Manoeuvre", "parse_steps"]
+
+MANOEUVRES: dict[str, type[Manoeuvre]] = {
+    cls.name: cls
+    for cls in (
+        Wait, Takeoff, Climb, Descend, Straight, Turn, Orbit, FigureEight, WindupTurn, Doublet, PullUp, Loop, Roll,
+        Approach, Land, Set,
+    )
+}  # fmt: skip
+"""Every manoeuvre by the name a scenario uses."""
+
+
+def parse_steps(tables: Sequence[Table]) -> tuple[Manoeuvre, ...]:
+    """Manoeuvres from a scenario's `[[step]]` tables.
+
+    Raises:
+        InputError: an unknown manoeuvre or key, or a value out of range.
+    """
+    steps = []
+    for table in tables:
+        name = table.text("do")
+        if name not in MANOEUVRES:
+            raise InputError(f"{table.where}: do: '{name}' is unknown{nearest(name, MANOEUVRES)}")
+        steps.append(MANOEUVRES[name](table))
+    return tuple(steps)

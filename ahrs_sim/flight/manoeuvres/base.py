@@ -1,0 +1,86 @@
+"""What every manoeuvre is, and the steering that several share."""
+
+import math
+from typing import TYPE_CHECKING, ClassVar
+
+from ahrs_sim.table import Table
+
+if TYPE_CHECKING:
+    from ahrs_sim.flight.fdm import Fdm
+    from ahrs_sim.flight.pilot import Autopilot, State
+
+G = 9.81  # m/s2
+
+
+class Failure(Exception):
+    """A manoeuvre cannot be completed: the reason."""
+
+
+def wrap(angle: float) -> float:
+    """The same angle in [-pi, pi)."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def clamp(value: float, limit: float) -> float:
+    """`value` within +-`limit`."""
+    return max(-limit, min(limit, value))
+
+
+def bank_for(state: "State", course: float, turn_rate: float = 0.0, limit: float = math.radians(30.0)) -> float:
+    """Bank angle that brings the ground track to `course`, on top of a turn at `turn_rate` (rad/s) along a curve.
+
+    Working on the ground track and not on the heading takes care of the wind.
+    """
+    rate = turn_rate + 0.6 * wrap(course - state.course)
+    return clamp(math.atan(state.ground_speed * rate / G), limit)
+
+
+def optional(table: Table, key: str, **limits: float) -> float | None:
+    """A number that may be left out."""
+    return table.number(key, None, **limits)
+
+
+class Manoeuvre:
+    """Base of all: `begin`, then `step` until it returns True, within `timeout` seconds."""
+
+    name: ClassVar[str]
+    needs_autopilot: ClassVar[bool] = True
+    in_flight: ClassVar[bool] = True
+
+    def __init__(self, table: Table) -> None:
+        """Read the parameters.
+
+        Raises:
+            InputError: a key is missing, unknown or out of range.
+        """
+        self.where = table.where
+        self.new_airspeed = optional(table, "airspeed_mps", above=0.0, maximum=60.0) if self.in_flight else None
+        self.read(table)
+        self.timeout = table.number("timeout_s", 3.0 * self.expected() + 30.0, above=0.0)
+        table.close()
+
+    def read(self, table: Table) -> None:
+        """Take this manoeuvre's own keys from `table`."""
+
+    def expected(self) -> float:
+        """About how long it takes, s."""
+        return 10.0
+
+    def bind(self, fdm: "Fdm") -> None:
+        """Look up what is needed of the aircraft."""
+
+    def begin(self, ap: "Autopilot", state: "State") -> None:
+        """Called once, before the first `step`."""
+
+    def step(self, ap: "Autopilot", state: "State") -> bool:
+        """Adjust the set-points; True when the manoeuvre is complete."""
+        raise NotImplementedError
+
+    def progress(self, state: "State") -> str:
+        """How far it got, for the message of a time-out."""
+        return f"at {state.height:.0f} m, {state.airspeed:.1f} m/s"
+
+    def take_airspeed(self, ap: "Autopilot") -> None:
+        """Make `airspeed_mps` the speed to hold, if it was given."""
+        if self.new_airspeed is not None:
+            ap.airspeed_goal = self.new_airspeed

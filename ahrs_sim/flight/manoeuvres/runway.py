@@ -1,0 +1,170 @@
+"""From the runway into the air and back onto it."""
+
+# ruff: noqa: D102  (`Manoeuvre` documents the methods which every class below defines)
+
+import math
+from typing import TYPE_CHECKING
+
+from ahrs_sim.flight.manoeuvres.base import Failure, G, Manoeuvre, bank_for, clamp, optional, wrap
+from ahrs_sim.table import Table
+
+if TYPE_CHECKING:
+    from ahrs_sim.flight.pilot import Autopilot, State
+
+
+class Takeoff(Manoeuvre):
+    """Take off along the heading at the start and climb straight ahead to `to_height_m`."""
+
+    name = "takeoff"
+    in_flight = False
+
+    def read(self, table: Table) -> None:
+        self.height = table.number("to_height_m", 30.0, minimum=10.0)
+        self.new_airspeed = optional(table, "airspeed_mps", above=0.0, maximum=60.0)
+
+    def expected(self) -> float:
+        return 10.0 + self.height / 4.0
+
+    def begin(self, ap: "Autopilot", state: "State") -> None:
+        if not state.on_ground:
+            raise Failure("the aircraft is in the air already; leave this step out")
+        self.take_airspeed(ap)
+        self.started = state.t
+        ap.set("motor-on", 1)
+        ap.heading_goal = state.home_heading
+        ap.altitude_goal = state.altitude + self.height
+        ap.heading(ap.heading_goal)
+        ap.set("phase", 1)
+
+    def step(self, ap: "Autopilot", state: "State") -> bool:
+        if state.height < self.height:
+            return False
+        ap.cruise()
+        return True
+
+    def progress(self, state: "State") -> str:
+        return f"at {state.height:.0f} of {self.height:.0f} m, {state.airspeed:.1f} m/s"
+
+
+class Approach(Manoeuvre):
+    """Fly back to the runway of the start, line up, and come down the glide path until `to_height_m` (12).
+
+    `distance_m` (450) before the start the aircraft joins the runway's line at the height of a glide path of
+    `glide_deg` (5) that ends at the start; not lined up at the end, it goes round again.
+    """
+
+    name = "approach"
+
+    def read(self, table: Table) -> None:
+        self.distance = table.number("distance_m", 450.0, minimum=200.0, maximum=5000.0)
+        self.glide = math.radians(table.number("glide_deg", 5.0, above=0.0, maximum=15.0))
+        self.height = table.number("to_height_m", 12.0, minimum=5.0)
+        self.bank = math.radians(table.number("bank_deg", 30.0, minimum=10.0, maximum=60.0))
+        self.speed = 17.0 if self.new_airspeed is None else self.new_airspeed
+
+    def expected(self) -> float:
+        return 60.0 + self.distance / 14.0
+
+    def begin(self, ap: "Autopilot", state: "State") -> None:
+        # the way back counts for the time-out
+        self.timeout = max(self.timeout, 120.0 + (math.hypot(state.north, state.east) + 2.0 * self.distance) / 4.0)
+        self.rounds = 0
+        self.join(ap, state)
+
+    def join(self, ap: "Autopilot", state: "State") -> None:
+        """Head for the point where the glide path begins."""
+        ap.airspeed_goal = self.speed
+        ap.altitude_goal = state.altitude - state.height + max(15.0, self.distance * math.tan(self.glide))
+        ap.level()
+        self.lined_up = False
+
+    def step(self, ap: "Autopilot", state: "State") -> bool:
+        along, cross = runway(state)
+        if not self.lined_up:
+            before = along + self.distance  # > 0: past the point of joining
+            if before < 60.0 and abs(cross) < 60.0 and abs(wrap(state.course - state.home_heading)) < 0.5 * math.pi:
+                self.lined_up = True
+            ap.roll(bank_for(state, self.course_to_join(state, along, cross), limit=self.bank))
+            return False
+        ap.roll(bank_for(state, runway_course(state, cross), limit=self.bank))
+        path = -along * math.tan(self.glide)
+        if path > state.height and along < -0.8 * self.distance:
+            return False  # level until the glide path comes down to meet the aircraft
+        rate = -state.ground_speed * math.tan(self.glide) + 0.4 * (path - state.height)
+        ap.climb_rate(clamp(rate, 3.5))
+        if state.height > self.height and along < 0.0:
+            return False
+        off = wrap(state.course - state.home_heading)
+        if abs(cross) < 4.0 and abs(off) < math.radians(10.0) and abs(path - state.height) < 6.0:
+            return True
+        self.rounds += 1
+        if self.rounds > 2:
+            raise Failure(f"not lined up after {self.rounds} tries: {cross:.0f} m beside the runway")
+        self.join(ap, state)
+        return False
+
+    def course_to_join(self, state: "State", along: float, cross: float) -> float:
+        """Course to a point ahead of the joining point, so far that the last turn ends on the runway's line."""
+        radius = state.ground_speed**2 / (G * math.tan(self.bank))
+        back = self.distance + 2.5 * radius
+        side = math.copysign(2.0 * radius, cross)
+        if along > -back and not (abs(cross) < 0.5 * radius and along < -self.distance):
+            target_along, target_cross = -back, side  # downwind, beside the line
+        else:
+            return runway_course(state, cross)
+        return state.home_heading + math.atan2(target_cross - cross, target_along - along)
+
+    def progress(self, state: "State") -> str:
+        along, cross = runway(state)
+        return f"{-along:.0f} m before the runway, {cross:.0f} m beside its line, at {state.height:.0f} m"
+
+
+class Land(Manoeuvre):
+    """Continue on the glide path, flare, touch down, roll out and stop; brakes on and motor off at the end."""
+
+    name = "land"
+
+    def read(self, table: Table) -> None:
+        self.glide = math.radians(table.number("glide_deg", 4.0, above=0.0, maximum=15.0))
+        self.flare = optional(table, "flare_height_m", above=0.0, maximum=20.0)
+        self.speed = 16.0 if self.new_airspeed is None else self.new_airspeed
+
+    def expected(self) -> float:
+        return 25.0
+
+    def begin(self, ap: "Autopilot", state: "State") -> None:
+        if self.flare is not None:
+            ap.set("flare-height-m", self.flare)
+        ap.set("glide-angle-rad", self.glide)
+        ap.airspeed(self.speed)
+        ap.set("phase", 2)
+        self.down: float | None = None  # since when it has stood still
+
+    def step(self, ap: "Autopilot", state: "State") -> bool:
+        _, cross = runway(state)
+        ap.roll(bank_for(state, runway_course(state, cross), limit=math.radians(15.0)))
+        ap.set("heading-cmd-rad", state.home_heading)
+        if not state.on_ground or state.ground_speed > 0.3:
+            self.down = None
+            return False
+        if self.down is None:
+            self.down = state.t
+        if state.t < self.down + 1.0:
+            return False
+        ap.park()
+        ap.set("motor-on", 0)
+        return True
+
+    def progress(self, state: "State") -> str:
+        return f"at {state.height:.1f} m, {state.ground_speed:.1f} m/s over ground"
+
+
+def runway(state: "State") -> tuple[float, float]:
+    """Where the aircraft is: m along the runway from the start (negative: before it) and m to the right of its line."""
+    cos, sin = math.cos(state.home_heading), math.sin(state.home_heading)
+    return state.north * cos + state.east * sin, state.east * cos - state.north * sin
+
+
+def runway_course(state: "State", cross: float) -> float:
+    """Course that leads onto the runway's line and along it."""
+    return state.home_heading - math.radians(50.0) * 2.0 / math.pi * math.atan(cross / 25.0)
