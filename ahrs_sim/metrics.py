@@ -1,6 +1,7 @@
 """Attitude errors and their statistics."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -48,6 +49,31 @@ def interpolate(t: np.ndarray, q_nb: np.ndarray, at: np.ndarray) -> np.ndarray:
     q /= np.linalg.norm(q, axis=1, keepdims=True)
     q[(at < t[0] - 1e-9) | (at > t[-1] + 1e-9)] = np.nan
     return q
+
+
+@dataclass(frozen=True)
+class History:
+    """An attitude over time, to compare others with."""
+
+    t: np.ndarray  # (n,) s, rising
+    q_nb: np.ndarray  # (n, 4)
+
+    def then(self, t: np.ndarray, q_nb: np.ndarray, keep_s: float) -> "History":
+        """With more of it at the end, without what is more than `keep_s` before the last time there was."""
+        kept = self.t > self.t[-1] - keep_s if len(self.t) else slice(0)
+        return History(np.concatenate([self.t[kept], t]), np.concatenate([self.q_nb[kept], q_nb]))
+
+    def reached(self, t: np.ndarray) -> np.ndarray:
+        """Which of the times `t` (m,) there is something to compare at; the others have to wait."""
+        reached: np.ndarray = t <= (self.t[-1] if len(self.t) > 1 else -np.inf)
+        return reached
+
+    def at(self, t: np.ndarray) -> np.ndarray:
+        """`interpolate` to `t` (m,)."""
+        return interpolate(self.t, self.q_nb, t)
+
+
+NOTHING = History(np.empty(0), np.empty((0, 4)))
 
 
 def attitude_errors(q_nb: np.ndarray, down_b: np.ndarray, reference: np.ndarray) -> np.ndarray:

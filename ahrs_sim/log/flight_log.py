@@ -86,15 +86,12 @@ class EstimateTopics:
         }
         self._cell = dict.fromkeys(self._channels, -(2**62))  # of PLOT_RATE, the last one plotted
         self._unjudged: dict[str, tuple[np.ndarray, ...]] = {}  # t, q_nb, down_b, att_cov the reference has not reached
-        self._reference = np.empty(0), np.empty((0, 4))
+        self._reference = metrics.NOTHING
 
     def reference(self, t: np.ndarray, q_nb: np.ndarray) -> None:
         """What errors are taken against, before the estimates of that time: `t` (n,) s rising, `q_nb` (n, 4)."""
-        if not len(t):
-            return
-        times, attitudes = self._reference
-        kept = times > (times[-1] if len(times) else 0.0) - _REMEMBERED_S
-        self._reference = np.concatenate([times[kept], t]), np.concatenate([attitudes[kept], q_nb])
+        if len(t):
+            self._reference = self._reference.then(t, q_nb, _REMEMBERED_S)
 
     def write(self, name: str, block: Estimates) -> None:
         """A block of one estimator."""
@@ -127,12 +124,11 @@ class EstimateTopics:
         if name in self._unjudged:
             said = tuple(np.concatenate(parts) for parts in zip(self._unjudged[name], said, strict=True))
         t, q_nb, down_b, att_cov = said
-        reached, reference = self._reference
-        wait = t > (reached[-1] if len(reached) > 1 else -np.inf)
+        wait = ~self._reference.reached(t)
         self._unjudged[name] = tuple(column[wait & (t > t[-1:] - HOLD_S)] for column in said)
         if wait.all():
             return
-        truth = metrics.interpolate(reached, reference, t)
+        truth = self._reference.at(t)
         known = ~wait & np.isfinite(truth).all(axis=1)
         t, q_nb, down_b, att_cov, truth = t[known], q_nb[known], down_b[known], att_cov[known], truth[known]
         columns = dict(zip(metrics.MEASURES, metrics.attitude_errors(q_nb, down_b, truth).T, strict=True))

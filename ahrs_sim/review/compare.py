@@ -3,7 +3,7 @@
 import io
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.reader import quaternion, stamps, vector
 from ahrs_sim.log.topics import REFERENCE, STATE
+from ahrs_sim.metrics import History
 from estimators.types import Estimates
 
 TRUTH_TOPIC = "/truth/imu"
@@ -60,13 +61,13 @@ class Judge:
     """
 
     def __init__(
-        self, names: Iterable[str], *, against: "Mapping[str, History] | None" = None, honesty: bool = False
+        self, names: Iterable[str], *, against: Mapping[str, History] | None = None, honesty: bool = False
     ) -> None:
         self._against = against
         self._honesty = honesty
         self._parts: dict[str, list[tuple[np.ndarray, ...]]] = {name: [] for name in names}
         self._waiting: list[tuple[str, Estimates]] = []
-        self._recent = History(np.empty(0), np.empty((0, 4)))  # truth that estimates may still ask for
+        self._recent = metrics.NOTHING  # truth that estimates may still ask for
         self._coarse: list[tuple[np.ndarray, ...]] = []  # truth for the phases
         self._cell = -math.inf
         self._times = np.empty(0)
@@ -76,9 +77,7 @@ class Judge:
         if not len(t):
             return
         t = _whole_ns(t)
-        old = self._recent
-        kept = old.t > old.t[-1] - LATE_S if len(old.t) else slice(0)
-        self._recent = History(np.concatenate([old.t[kept], t]), np.concatenate([old.q_nb[kept], q_nb]))
+        self._recent = self._recent.then(t, q_nb, LATE_S)
         rows, self._cell = _coarse(t, self._cell)
         self._coarse.append((t[rows], q_nb[rows].astype(np.float32), vel_n[rows].astype(np.float32), on_ground[rows]))
         waiting, self._waiting = self._waiting, []
@@ -89,9 +88,8 @@ class Judge:
         """More of what an estimator says."""
         block = replace(block, t=_whole_ns(block.t))
         if self._against is None:
-            reached = self._recent.t[-1] + 1e-9 if len(self._recent.t) else -math.inf
-            if len(block) and block.t[-1] > reached:
-                known = int(np.searchsorted(block.t, reached, "right"))
+            known = int(np.sum(self._recent.reached(block.t)))
+            if known < len(block):
                 self._waiting.append((name, block[known:]))
                 block = block[:known]
             history = self._recent
@@ -99,7 +97,7 @@ class Judge:
             history = self._against[name]
         if not len(block):
             return
-        reference = metrics.interpolate(history.t, history.q_nb, block.t)
+        reference = history.at(block.t)
         errors = metrics.attitude_errors(block.q_nb, block.down_b, reference).astype(np.float32)
         honesty = _honesty(block, reference) if self._honesty else np.empty((len(block), 0), np.float32)
         if np.array_equal(block.t, self._times):  # of the estimator before: one array for both
@@ -215,14 +213,6 @@ def compare(
     for name, values in told.items():
         result["estimators"][name] |= values
     return result
-
-
-@dataclass(frozen=True)
-class History:
-    """An attitude over time."""
-
-    t: np.ndarray  # (n,) s, rising
-    q_nb: np.ndarray  # (n, 4)
 
 
 def listen(log: FlightReader, judge: Judge, names: Iterable[str], *, honesty: bool = False) -> None:

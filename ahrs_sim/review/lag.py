@@ -125,7 +125,7 @@ def of_log(
         return {name: _of(log, name, history, low, high) for name in log.estimators}
 
 
-def _of(log: FlightReader, name: str, history: compare.History, low: float, high: float) -> dict[str, float | None]:
+def _of(log: FlightReader, name: str, history: metrics.History, low: float, high: float) -> dict[str, float | None]:
     parts = [
         (log.seconds(stamps(b)), quaternion(b["orientation"]), vector(b["down"]))
         for b in log.blocks(f"/est/{name}{STATE.topic}")
@@ -137,7 +137,7 @@ def _of(log: FlightReader, name: str, history: compare.History, low: float, high
     t, first = np.unique(t, return_index=True)
     kept = first[(t >= max(low, history.t[0])) & (t <= min(high, history.t[-1]))]
     t = t[(t >= max(low, history.t[0])) & (t <= min(high, history.t[-1]))]
-    truth = metrics.euler(metrics.interpolate(history.t, history.q_nb, t))
+    truth = metrics.euler(history.at(t))
     with np.errstate(invalid="ignore"):
         angles = np.column_stack([*metrics.roll_pitch(down_b[kept]), metrics.euler(q_nb[kept])[:, 2]])
     return {

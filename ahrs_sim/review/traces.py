@@ -183,7 +183,7 @@ def gather(
         t, q_nb, phase = _truth(log, columns)
         if reference is None and not len(t) and REFERENCE.topic in log.topics:
             reference = REFERENCE.topic
-        history = compare.History(t, q_nb) if reference is None and len(t) else compare.attitudes(log, reference)
+        history = metrics.History(t, q_nb) if reference is None and len(t) else compare.attitudes(log, reference)
         first, last = (t[0], t[-1]) if len(t) else (history.t[0], history.t[-1])
         low = float(max(first, -math.inf if start is None else start))
         high = float(min(last, math.inf if end is None else end))
@@ -278,13 +278,13 @@ def _origin(
 class _Gathering:
     """The columns of one estimator while they come in."""
 
-    def __init__(self, against: compare.History, origin: np.ndarray) -> None:
-        self.t, self.q_nb, self.origin = against.t, against.q_nb, origin
+    def __init__(self, against: metrics.History, origin: np.ndarray) -> None:
+        self.against, self.origin = against, origin
         self.columns: dict[str, list[np.ndarray]] = {}
         self.cell = -(2**62)
 
     def add(self, at: np.ndarray, messages: np.ndarray) -> None:
-        reference = metrics.interpolate(self.t, self.q_nb, at)
+        reference = self.against.at(at)
         q_nb, down = quaternion(messages["orientation"]), vector(messages["down"])
         self._put("t", at)
         self._put("error", metrics.attitude_errors(q_nb, down, reference).astype(np.float32))
@@ -348,7 +348,7 @@ class _Gathering:
 
 def _estimators(
     log: FlightReader,
-    against: Mapping[str, tuple[compare.History, dict[str, Any]]],
+    against: Mapping[str, tuple[metrics.History, dict[str, Any]]],
     origin: np.ndarray,
     low: float,
     high: float,
