@@ -9,6 +9,10 @@ MEASURES = ("roll", "pitch", "heading", "tilt", "total")
 """Errors of an attitude: three Euler angles, the angle between the two verticals, the angle of the whole rotation."""
 
 
+GAP = 5.0
+"""Periods of a reference; where its samples are further apart it has nothing to say."""
+
+
 def euler(q_nb: np.ndarray) -> np.ndarray:
     """Roll, pitch, heading (n, 3) in rad of quaternions (n, 4); heading in (-pi, pi]."""
     a, b, c, d = q_nb.T
@@ -38,7 +42,8 @@ def roll_pitch(down_b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def interpolate(t: np.ndarray, q_nb: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Quaternions (m, 4) at times `at` (m,) from samples `q_nb` (n, 4) at rising times `t` (n,).
 
-    Linear and normalised between neighbours: at 100 Hz and 2 rad/s off by less than 1e-4 deg. NaN outside of `t`.
+    Linear and normalised between neighbours: at 100 Hz and 2 rad/s off by less than 1e-4 deg. NaN outside of `t`, and
+    between neighbours more than `GAP` periods apart; the period is what nine tenths of the samples keep to.
     """
     right = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
     left = right - 1
@@ -47,7 +52,9 @@ def interpolate(t: np.ndarray, q_nb: np.ndarray, at: np.ndarray) -> np.ndarray:
     sign = np.where(np.sum(q_nb[left] * q_nb[right], axis=1) < 0, -1.0, 1.0)[:, None]
     q: np.ndarray = (1 - weight) * q_nb[left] + weight * sign * q_nb[right]
     q /= np.linalg.norm(q, axis=1, keepdims=True)
-    q[(at < t[0] - 1e-9) | (at > t[-1] + 1e-9)] = np.nan
+    longest = GAP * np.quantile(np.diff(t), 0.9, method="lower") if len(t) > 2 else np.inf
+    gap = (span > longest) & (at > t[left] + 1e-9) & (at < t[right] - 1e-9)
+    q[gap | (at < t[0] - 1e-9) | (at > t[-1] + 1e-9)] = np.nan
     return q
 
 

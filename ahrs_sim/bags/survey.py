@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim.bags import frames
+from ahrs_sim.metrics import interpolate
 from ahrs_sim.review.sync import rates, time_shift
 from ahrs_sim.sensors.records import SuiteBlock
 
@@ -165,8 +166,7 @@ def _against_reference(s: Survey, axes: tuple[str, str]) -> list[str]:
     if len(t) < 20 or len(s.t) < 20:
         return []
     found = []
-    middle = _at(t, q, s.t)
-    force_n = frames.rotate(middle, s.accel_b)
+    force_n = frames.rotate(interpolate(t, q, s.t), s.accel_b)
     up = np.nanmean(force_n, axis=0)
     if np.linalg.norm(up) > 0.5 * G and up[2] > 0:
         found.append(f"gravity points up by the reference attitude: its axes are not {axes[0]}, {axes[1]}? ([frames])")
@@ -186,12 +186,6 @@ def _against_reference(s: Survey, axes: tuple[str, str]) -> list[str]:
     elif (slope[strong] < 0.5).any():
         found.append("gyro does not follow the reference attitude: mounting, or another body? ([mounting])")
     return found
-
-
-def _at(t: np.ndarray, q: np.ndarray, at: np.ndarray) -> np.ndarray:
-    from ahrs_sim.metrics import interpolate
-
-    return interpolate(t, q, at)
 
 
 def reference_delay(s: Survey) -> float | None:

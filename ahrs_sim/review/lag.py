@@ -75,7 +75,7 @@ def lags(t: np.ndarray, truth: np.ndarray, estimate: np.ndarray) -> tuple[float,
     Returns:
         Attitude and rate lag, positive when the estimate comes late; NaN when the flight does not tell.
     """
-    has = np.isfinite(estimate).any(axis=0)
+    has = (np.isfinite(truth) & np.isfinite(estimate)).any(axis=0)
     if len(t) < 3 or not has.any():
         return math.nan, math.nan
     dt = float(np.median(np.diff(t)))

@@ -239,7 +239,9 @@ def _truth(flight: FlightTraces, clock: _Clock, dt: float) -> dict[str, Any]:
     n = int((clock.end - clock.t0) / dt) + 1
     at = np.minimum(clock.t0 + dt * np.arange(n), clock.end)
     angles = np.degrees(metrics.euler(metrics.interpolate(flight.t, flight.q_nb, at)))
-    angles[:, [0, 2]] = np.unwrap(angles[:, [0, 2]], period=360.0, axis=0)
+    known = np.isfinite(angles[:, 0])
+    for k in (0, 2):
+        angles[known, k] = np.unwrap(angles[known, k], period=360.0)
     north, east, down = flight.position.T
     return {
         "attitude": [clock.packer.add(column, clock.t0, dt, 0.01) for column in angles.T],

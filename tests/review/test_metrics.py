@@ -65,6 +65,16 @@ def test_interpolation_follows_slerp_and_refuses_to_extrapolate() -> None:
     assert np.isnan(metrics.interpolate(t, spin.as_quat(scalar_first=True), np.array([-0.1, 1.1]))).all()
 
 
+def test_a_gap_of_the_reference_is_not_bridged() -> None:
+    """Jitter and a few lost samples are, and the samples at both ends of a gap count."""
+    t = np.r_[np.arange(0, 1, 0.01), 1.03, np.arange(1.07, 1.995, 0.01), np.arange(2.5, 3, 0.01)]
+    t[20:60] += 0.004 * np.random.default_rng(1).uniform(-1, 1, 40)
+    spin = Rotation.from_rotvec(np.outer(t, [0.3, -2.0, 0.5])).as_quat(scalar_first=True)
+    gap = [2.0, 2.25, 2.499]
+    at = np.sort(np.r_[np.linspace(0, 1.98, 100), t, gap])
+    assert at[np.isnan(metrics.interpolate(t, spin, at)).any(axis=1)].tolist() == gap
+
+
 def test_statistics_of_known_errors() -> None:
     errors = np.radians(np.arange(1.0, 101.0))[:, None] * np.ones(5)
     values = metrics.statistics(errors)
