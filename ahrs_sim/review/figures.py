@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ahrs_sim import metrics
+from ahrs_sim import consistency, metrics
 from ahrs_sim.errors import InputError
 from ahrs_sim.review.traces import EstimatorTrace, FlightTraces
 
@@ -19,7 +19,7 @@ _POINTS = 2000  # pairs of minimum and maximum a curve: finer than any print
 
 
 def draw(flight: FlightTraces, folder: Path) -> list[Path]:
-    """Write attitude, errors, worst windows, ground track and biases as PNG files; returns them.
+    """Write attitude, errors, consistency, worst windows, ground track and biases as PNG files; returns them.
 
     Raises:
         InputError: matplotlib is missing, or the folder cannot be used.
@@ -31,6 +31,9 @@ def draw(flight: FlightTraces, folder: Path) -> list[Path]:
     figures = {
         "attitude": _attitude(Figure((11, 8), layout="constrained"), flight),
         "errors": _errors(Figure((11, 8), layout="constrained"), flight),
+        "consistency": _consistency(
+            Figure((15, 2.2 * max(1, len(flight.estimators)) + 0.6), layout="constrained"), flight
+        ),
         "worst": _worst(Figure((11, 2.2 * max(1, len(flight.estimators)) + 0.6), layout="constrained"), flight),
         "track": _track(Figure((7, 7), layout="constrained"), flight),
         "biases": _biases(Figure((11, 8), layout="constrained"), flight),
@@ -103,6 +106,27 @@ def _errors(figure: "Figure", flight: FlightTraces) -> "Figure":
             ax.fill_between(e.coarse_t, -sigma, sigma, color=f"C{i}", alpha=0.15, linewidth=0)
         _label(ax, f"{_AXES[k]} error, deg")
     return _finish(figure, axes, f"{flight.label}: errors, shaded ±3 sigma of the estimators")
+
+
+def _consistency(figure: "Figure", flight: FlightTraces) -> "Figure":
+    """A row an estimator: its errors in its own ±3 sigma, and the NEES per degree of freedom in its 95 % bounds."""
+    axes = figure.subplots(max(1, len(flight.estimators)), 4, squeeze=False, sharex=True)
+    low, high = (float(bound) / 3 for bound in consistency.chi_square_bounds(3))
+    for row, e in zip(axes, flight.estimators.values(), strict=True):
+        for k, ax in enumerate(row[:3]):
+            ax.plot(*_thin(e.t, np.degrees(e.error[:, k].astype(float))), color="C3", linewidth=0.8, label="error")
+            sigma = 3 * np.degrees(e.sigma[:, k])
+            ax.fill_between(
+                e.coarse_t, -sigma, sigma, color="C0", alpha=0.4, linewidth=0, label="±3 sigma of the estimator"
+            )
+            _label(ax, f"{_AXES[k]} error, deg")
+        known = np.where(e.nees > 0.0, e.nees / 3, np.nan)
+        row[3].plot(*_thin(e.coarse_t, known), color="C3", linewidth=0.8)
+        row[3].axhspan(low, high, color="C0", alpha=0.4, linewidth=0)
+        row[3].set_yscale("log")
+        _label(row[3], "NEES / 3")
+        row[0].set_title(e.name, fontsize=9, loc="left")
+    return _finish(figure, axes.ravel(), f"{flight.label}: errors in ±3 sigma, NEES in its 95 % bounds")
 
 
 def _worst(figure: "Figure", flight: FlightTraces) -> "Figure":
