@@ -1,11 +1,14 @@
 """The Earth for a navigator: WGS84 ellipsoid, its rotation, normal gravity, metres and radians. Plain kernels."""
 
 import math
+from typing import Any
 
 import numpy as np
 
 from estimators.jit import njit
 from estimators.rotations import wrap
+
+Triple = Any  # an array or a tuple of three: the same to a kernel, but a tuple may stay in registers
 
 A, E2, EARTH_RATE = 6378137.0, 6.69437999014e-3, 7.292115e-5  # m, -, rad/s
 GRAVITY_GRADIENT = 3.086e-6  # 1/s2, of gravity with height
@@ -31,25 +34,26 @@ def normal_gravity(latitude: float, height: float) -> float:
 
 
 @njit
-def frame_rates(lla: np.ndarray, vel_n: np.ndarray) -> tuple[float, float, float, float, float]:
+def frame_rates(lla: Triple, vel_n: Triple) -> tuple[float, float, float, float, float]:
     """Earth rate (north, down), then transport rate (north, east, down) of the local frame, rad/s."""
     along, across = radii(lla[0])
-    earth_n, earth_d = EARTH_RATE * math.cos(lla[0]), -EARTH_RATE * math.sin(lla[0])
+    sine, cosine = math.sin(lla[0]), math.cos(lla[0])
     north, east = vel_n[1] / (across + lla[2]), -vel_n[0] / (along + lla[2])
-    return earth_n, earth_d, north, east, -north * math.tan(lla[0])
+    return EARTH_RATE * cosine, -EARTH_RATE * sine, north, east, -north * sine / cosine
 
 
 @njit
-def move(lla: np.ndarray, north: float, east: float, down: float, out: np.ndarray) -> None:
+def move(lla: Triple, north: float, east: float, down: float, out: np.ndarray) -> None:
     """`out` (3,) = place `lla` (rad, rad, m) moved by metres."""
-    along, across = radii(lla[0])
-    out[1] = lla[1] + east / ((across + lla[2]) * math.cos(lla[0]))
-    out[0] = lla[0] + north / (along + lla[2])
-    out[2] = lla[2] - down
+    out[0], out[1], out[2] = lla[0], lla[1], lla[2] - down
+    if north != 0.0 or east != 0.0:  # most sigma points do not leave the place
+        along, across = radii(lla[0])
+        out[0] += north / (along + lla[2])
+        out[1] += east / ((across + lla[2]) * math.cos(lla[0]))
 
 
 @njit
-def apart(lla: np.ndarray, origin: np.ndarray, out: np.ndarray) -> None:
+def apart(lla: Triple, origin: Triple, out: np.ndarray) -> None:
     """`out` (3,) = metres NED from `origin` to `lla`, the inverse of `move`."""
     along, across = radii(origin[0])
     out[0] = (lla[0] - origin[0]) * (along + origin[2])

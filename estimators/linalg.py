@@ -12,26 +12,24 @@ from estimators.jit import njit
 
 @njit(forceinline=True)
 def leading_cholesky(n: int, P: np.ndarray, columns: int, L: np.ndarray) -> bool:
-    """The first `columns` columns of the lower Cholesky factor of P into L (n, columns); False when P is not positive.
+    """The first `columns` columns of P's lower Cholesky factor, each a row of L (columns, n); False if not positive.
 
-    The later columns do not move the first `columns` states, so a function that reads only these needs no more.
+    The later columns do not move the first `columns` states, so a function that reads only these needs no more. Columns
+    lie in rows so that the innermost loop runs along memory.
     """
     for j in range(columns):
-        pivot = P[j, j]
+        for i in range(n):
+            L[j, i] = P[j, i] if i >= j else 0.0
         for k in range(j):
-            pivot -= L[j, k] * L[j, k]
+            factor = L[k, j]
+            for i in range(j, n):
+                L[j, i] -= factor * L[k, i]
+        pivot = L[j, j]
         if not pivot > 0.0:
             return False
-        pivot = math.sqrt(pivot)
-        inverse = 1.0 / pivot
-        for i in range(j):
-            L[i, j] = 0.0
-        L[j, j] = pivot
-        for i in range(j + 1, n):
-            rest = P[i, j]
-            for k in range(j):
-                rest -= L[i, k] * L[j, k]
-            L[i, j] = rest * inverse
+        inverse = 1.0 / math.sqrt(pivot)
+        for i in range(j, n):
+            L[j, i] *= inverse
     return True
 
 

@@ -2,14 +2,18 @@
 
 Quaternions are scalar first, Hamilton; `q_nb` turns body into navigation vectors: `v_n = q_nb v_b q_nb*`, `C_bn(q_nb)`
 is the matrix that maps a navigation vector to body axes. Rotation vectors are in rad. Kernels write to their last
-argument, which must not be one of the others.
+argument, which must not be one of the others, or return a tuple: that costs no memory, which in a filter's innermost
+loops takes longer than the equations.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
 from estimators.jit import njit
+
+Quaternion = Any  # an array or a tuple of four
 
 _SMALL = 0.04  # rad2: below, series are exact to rounding and much faster than sin and cos
 
@@ -30,14 +34,29 @@ def exp_terms(angle2: float) -> tuple[float, float, float]:
 
 
 @njit
-def turn(q: np.ndarray, rx: float, ry: float, rz: float, out: np.ndarray) -> None:
-    """`out = q (x) exp_q(r)`: attitude after the body has turned by the rotation vector r (rad, body axes)."""
+def turned(q: Quaternion, rx: float, ry: float, rz: float) -> tuple[float, float, float, float]:
+    """`q (x) exp_q(r)`: attitude after the body has turned by the rotation vector r (rad, body axes)."""
     cosine, sine, _ = exp_terms(rx * rx + ry * ry + rz * rz)
     b, c, d = sine * rx, sine * ry, sine * rz
-    out[0] = q[0] * cosine - q[1] * b - q[2] * c - q[3] * d
-    out[1] = q[0] * b + q[1] * cosine + q[2] * d - q[3] * c
-    out[2] = q[0] * c - q[1] * d + q[2] * cosine + q[3] * b
-    out[3] = q[0] * d + q[1] * c - q[2] * b + q[3] * cosine
+    return (
+        q[0] * cosine - q[1] * b - q[2] * c - q[3] * d,
+        q[0] * b + q[1] * cosine + q[2] * d - q[3] * c,
+        q[0] * c - q[1] * d + q[2] * cosine + q[3] * b,
+        q[0] * d + q[1] * c - q[2] * b + q[3] * cosine,
+    )
+
+
+@njit
+def turn(q: np.ndarray, rx: float, ry: float, rz: float, out: np.ndarray) -> None:
+    """`out = turned(q, r)`."""
+    out[0], out[1], out[2], out[3] = turned(q, rx, ry, rz)
+
+
+@njit
+def turn_nav(q: Quaternion, rx: float, ry: float, rz: float, out: np.ndarray) -> None:
+    """`out = exp_q(r) (x) q`: attitude after a turn by r (rad, navigation axes); `turned` on conjugates."""
+    a, b, c, d = turned((q[0], -q[1], -q[2], -q[3]), -rx, -ry, -rz)
+    out[0], out[1], out[2], out[3] = a, -b, -c, -d
 
 
 @njit
@@ -50,16 +69,22 @@ def multiply(p: np.ndarray, q: np.ndarray, out: np.ndarray) -> None:
 
 
 @njit
-def rotation_between(p: np.ndarray, q: np.ndarray, out: np.ndarray) -> None:
+def rotation_between(p: Quaternion, q: Quaternion, out: np.ndarray) -> None:
     """`out = r` (3,) rad with `q = p (x) exp_q(r)`, the short way round: the inverse of `turn`."""
     a = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
     b = p[0] * q[1] - p[1] * q[0] - p[2] * q[3] + p[3] * q[2]
     c = p[0] * q[2] + p[1] * q[3] - p[2] * q[0] - p[3] * q[1]
     d = p[0] * q[3] - p[1] * q[2] + p[2] * q[1] - p[3] * q[0]
-    sine = math.sqrt(b * b + c * c + d * d)
+    square = b * b + c * c + d * d
     if a < 0.0:
         a, b, c, d = -a, -b, -c, -d
-    scale = 2.0 / a if sine < 1e-8 * a else 2.0 * math.atan2(sine, a) / sine
+    if square < 0.01 * a * a:  # atan(t)/t as a series, exact to rounding
+        y = -square / (a * a)
+        tail = 1.0 / 9 + y * (1.0 / 11 + y * (1.0 / 13 + y * (1.0 / 15 + y / 17)))
+        scale = 2.0 / a * (1.0 + y * (1.0 / 3 + y * (1.0 / 5 + y * (1.0 / 7 + y * tail))))
+    else:
+        sine = math.sqrt(square)
+        scale = 2.0 * math.atan2(sine, a) / sine
     out[0] = scale * b
     out[1] = scale * c
     out[2] = scale * d
@@ -85,13 +110,21 @@ def to_body(q: np.ndarray, x: float, y: float, z: float, out: np.ndarray) -> Non
 
 
 @njit
-def to_nav(q: np.ndarray, x: float, y: float, z: float, out: np.ndarray) -> None:
-    """`out = C_nb(q) (x, y, z)`: body vector to navigation axes."""
+def nav_vector(q: Quaternion, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """`C_nb(q) (x, y, z)`: body vector to navigation axes."""
     a, b, c, d = q[0], q[1], q[2], q[3]
     aa, bb, cc, dd = a * a, b * b, c * c, d * d
-    out[0] = (aa + bb - cc - dd) * x + 2.0 * ((b * c - a * d) * y + (b * d + a * c) * z)
-    out[1] = (aa - bb + cc - dd) * y + 2.0 * ((b * c + a * d) * x + (c * d - a * b) * z)
-    out[2] = (aa - bb - cc + dd) * z + 2.0 * ((b * d - a * c) * x + (c * d + a * b) * y)
+    return (
+        (aa + bb - cc - dd) * x + 2.0 * ((b * c - a * d) * y + (b * d + a * c) * z),
+        (aa - bb + cc - dd) * y + 2.0 * ((b * c + a * d) * x + (c * d - a * b) * z),
+        (aa - bb - cc + dd) * z + 2.0 * ((b * d - a * c) * x + (c * d + a * b) * y),
+    )
+
+
+@njit
+def to_nav(q: np.ndarray, x: float, y: float, z: float, out: np.ndarray) -> None:
+    """`out = nav_vector(q, x, y, z)`."""
+    out[0], out[1], out[2] = nav_vector(q, x, y, z)
 
 
 @njit
@@ -180,6 +213,8 @@ def from_euler(roll: float, pitch: float, yaw: float, out: np.ndarray) -> None:
 @njit
 def wrap(angle: float) -> float:
     """`angle` in (-pi, pi]."""
+    if -math.pi < angle <= math.pi:
+        return angle
     return math.pi - (math.pi - angle) % (2.0 * math.pi)
 
 

@@ -21,7 +21,7 @@ class Work(NamedTuple):
     point: np.ndarray  # (raw,) a sigma point
     moved: np.ndarray  # (raw,) a propagated sigma point
     dx: np.ndarray  # (n,) an error
-    L: np.ndarray  # (n, read) leading columns of the Cholesky factor
+    L: np.ndarray  # (read, n) leading columns of the Cholesky factor, one to a row
     odd: np.ndarray  # (read, rows) f(+) - f(-) per sigma point pair
     even: np.ndarray  # (read, rows) f(+) + f(-) - 2 f(0)
     shift: np.ndarray  # (rows,) mean minus f(0)
@@ -53,7 +53,7 @@ class Work(NamedTuple):
             return np.zeros(shape)
 
         return cls(
-            x=zeros(raw), point=zeros(raw), moved=zeros(raw), dx=zeros(n), L=zeros(n, columns),
+            x=zeros(raw), point=zeros(raw), moved=zeros(raw), dx=zeros(n), L=zeros(columns, n),
             odd=zeros(columns, rows), even=zeros(columns, rows), shift=zeros(rows), plus=zeros(rows), minus=zeros(rows),
             J=zeros(rows, n), T=zeros(rows, n), S=zeros(rows, rows), noise=zeros(rows, rows), scratch=zeros(rows, rows),
             C=zeros(rows, n), y=zeros(rows), measured=zeros(rows), residual=zeros(rows), variance=zeros(rows),

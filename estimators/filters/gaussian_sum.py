@@ -140,7 +140,7 @@ def distance2(bank: Bank, i: int, j: int, both: np.ndarray, L: np.ndarray, apart
     for a in range(n):
         apart[a] = bank.x[i, a] - bank.x[j, a]
         for b in range(a):
-            apart[a] -= L[a, b] * apart[b]
+            apart[a] -= L[b, a] * apart[b]
         apart[a] /= L[a, a]
         total += apart[a] * apart[a]
     return total

@@ -81,7 +81,7 @@ def propagate_points(
         shift[a] = 0.0
     for i in range(columns):
         for j in range(n):
-            dx[j] = h * L[j, i]
+            dx[j] = h * L[i, j]
         retract(model, x, dx, work.point)
         propagate(model, work.point, u, dt, work.moved)
         difference(model, work.moved, centre, plus)
@@ -110,12 +110,15 @@ def predict_points(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.
     ok: bool = leading_cholesky(n, P, columns, L)  # when it is not, the results are void; an early return costs time
     h, even, square = propagate_points(method, model, x, u, dt, work)
     spread(d, s, shift, columns, moved, 0.25 / (h * h), even, square, P)
-    for j in range(moved, n):
-        for a in range(moved):
-            total = 0.0
-            for i in range(columns):
-                total += L[j, i] * d[i, a]
-            P[j, a] = P[a, j] = total * (0.5 / h)
+    for a in range(moved):
+        for j in range(moved, n):
+            P[a, j] = 0.0
+        for i in range(columns):
+            weighted = 0.5 / h * d[i, a]
+            for j in range(moved, n):
+                P[a, j] += weighted * L[i, j]
+        for j in range(moved, n):
+            P[j, a] = P[a, j]
     for a in range(moved):
         for b in range(a):
             P[b, a] = P[a, b]
@@ -149,7 +152,7 @@ def observe_points(
         shift[a] = 0.0
     for i in range(columns):
         for j in range(n):
-            dx[j] = h * L[j, i]
+            dx[j] = h * L[i, j]
         retract(model, x, dx, work.point)
         observe(model, group, work.point, u, plus)
         for j in range(n):
@@ -179,8 +182,9 @@ def _project_nonlinear(
     spread(d, work.even, work.shift, columns, rows, 0.25 / (h * h), even, square, work.S)
     for a in range(rows):
         for j in range(n):
-            total = 0.0
-            for i in range(min(j + 1, columns)):
-                total += L[j, i] * d[i, a]
-            C[a, j] = total * (0.5 / h)
+            C[a, j] = 0.0
+        for i in range(columns):
+            weighted = 0.5 / h * d[i, a]
+            for j in range(i, n):
+                C[a, j] += weighted * L[i, j]
     return ok

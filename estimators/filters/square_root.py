@@ -118,7 +118,7 @@ def _predict(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarra
     L, d, e, shift, A, Q = work.L, work.odd, work.even, work.shift, work.A, work.Q
     for i in range(n):
         for j in range(columns):
-            L[i, j] = P[i, j]
+            L[j, i] = P[i, j]
     h, even, square = propagate_points(method, model, x, u, dt, work)
     ok: bool = _centre(e, shift, columns, moved, h, even, square)
     for i in range(n):
@@ -154,7 +154,7 @@ def _project(method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, 
     else:
         for i in range(n):
             for j in range(columns):
-                L[i, j] = P[i, j]
+                L[j, i] = P[i, j]
         h, even, square = observe_points(method, model, group, x, u, work)
         ok = _centre(e, shift, columns, rows, h, even, square)
         for a in range(rows):

@@ -35,7 +35,7 @@ import numpy as np
 from estimators.alignment import ACCEL_SCATTER, GYRO_SCATTER, MEAN_RATE, Alignment, Start
 from estimators.earth import GRAVITY_GRADIENT, apart, frame_rates, move
 from estimators.generic import register
-from estimators.jit import inner, njit
+from estimators.jit import inner
 from estimators.models.base import (
     MAX_FIELD,
     MAX_FORCE,
@@ -49,7 +49,18 @@ from estimators.models.base import (
     size,
 )
 from estimators.past import LENGTH, WIDTH, keep, recall
-from estimators.rotations import attitude_matrix, normalise, rotation_between, to_body, to_nav, turn, wrap, yaw
+from estimators.rotations import (
+    attitude_matrix,
+    nav_vector,
+    normalise,
+    rotation_between,
+    to_body,
+    to_nav,
+    turn_nav,
+    turned,
+    wrap,
+    yaw,
+)
 from estimators.rows import (
     ACCEL,
     AIR_NEW,
@@ -164,39 +175,23 @@ class Ins24(_Parameters):
     """With the wind as well."""
 
 
-@njit
-def _turn_n(q: np.ndarray, rx: float, ry: float, rz: float, out: np.ndarray) -> None:
-    """`out = exp_q(r) (x) q`: a rotation about navigation axes; `turn` on conjugates."""
-    a, b, c, d = q[0], -q[1], -q[2], -q[3]
-    conjugate = np.empty(4)
-    conjugate[0], conjugate[1], conjugate[2], conjugate[3] = a, b, c, d
-    turn(conjugate, -rx, -ry, -rz, out)
-    out[1], out[2], out[3] = -out[1], -out[2], -out[3]
-
-
 def _propagate(model: Any, x: np.ndarray, u: np.ndarray, dt: float, out: np.ndarray) -> None:
     for i in range(10, x.shape[0]):
         out[i] = x[i]
-    north, east, down = x[4], x[5], x[6]
-    ie_n, ie_d, en_n, en_e, en_d = frame_rates(x[7:10], x[4:7])
-    scale = np.empty(3)
-    for i in range(3):
-        scale[i] = (u[_W + i] - x[10 + i]) * dt
-        if size(model) > SG:
-            scale[i] *= 1.0 - x[1 + SG + i]
-    q = np.empty(4)
-    half = np.empty(4)
-    turn(x, 0.5 * scale[0], 0.5 * scale[1], 0.5 * scale[2], half)
-    turn(half, 0.5 * scale[0], 0.5 * scale[1], 0.5 * scale[2], q)
-    _turn_n(q, -(ie_n + en_n) * dt, -en_e * dt, -(ie_d + en_d) * dt, out)
-    force = np.empty(3)
-    to_nav(half, u[_F] - x[13], u[_F + 1] - x[14], u[_F + 2] - x[15], force)
+    place, (north, east, down) = (x[7], x[8], x[9]), (x[4], x[5], x[6])
+    ie_n, ie_d, en_n, en_e, en_d = frame_rates(place, (north, east, down))
+    hx, hy, hz = 0.5 * dt * (u[_W] - x[10]), 0.5 * dt * (u[_W + 1] - x[11]), 0.5 * dt * (u[_W + 2] - x[12])
+    if size(model) > SG:
+        hx, hy, hz = hx * (1.0 - x[1 + SG]), hy * (1.0 - x[2 + SG]), hz * (1.0 - x[3 + SG])
+    half = turned(x, hx, hy, hz)
+    turn_nav(turned(half, hx, hy, hz), -(ie_n + en_n) * dt, -en_e * dt, -(ie_d + en_d) * dt, out)
+    force_n, force_e, force_d = nav_vector(half, u[_F] - x[13], u[_F + 1] - x[14], u[_F + 2] - x[15])
     wn, we, wd = 2.0 * ie_n + en_n, en_e, 2.0 * ie_d + en_d
     gravity = model.gravity - GRAVITY_GRADIENT * (x[9] - model.origin[2])
-    out[4] = north + (force[0] - (we * down - wd * east)) * dt
-    out[5] = east + (force[1] - (wd * north - wn * down)) * dt
-    out[6] = down + (force[2] + gravity - (wn * east - we * north)) * dt
-    move(x[7:10], 0.5 * (north + out[4]) * dt, 0.5 * (east + out[5]) * dt, 0.5 * (down + out[6]) * dt, out[7:10])
+    out[4] = north + (force_n - (we * down - wd * east)) * dt
+    out[5] = east + (force_e - (wd * north - wn * down)) * dt
+    out[6] = down + (force_d + gravity - (wn * east - we * north)) * dt
+    move(place, 0.5 * (north + out[4]) * dt, 0.5 * (east + out[5]) * dt, 0.5 * (down + out[6]) * dt, out[7:10])
 
 
 def _transition(model: Any, x: np.ndarray, u: np.ndarray, dt: float, F: np.ndarray) -> None:
@@ -206,8 +201,7 @@ def _transition(model: Any, x: np.ndarray, u: np.ndarray, dt: float, F: np.ndarr
         F[a, a] = 1.0
     C = np.empty((3, 3))
     attitude_matrix(x, C)  # C_bn: its rows are the body axes in NED
-    force = np.empty(3)
-    to_nav(x, u[_F] - x[13], u[_F + 1] - x[14], u[_F + 2] - x[15], force)
+    north, east, down = nav_vector(x, (u[_F] - x[13]) * dt, (u[_F + 1] - x[14]) * dt, (u[_F + 2] - x[15]) * dt)
     for a in range(3):
         F[P_ + a, V + a] = dt
         for i in range(3):
@@ -215,9 +209,9 @@ def _transition(model: Any, x: np.ndarray, u: np.ndarray, dt: float, F: np.ndarr
             F[V + a, BA + i] = -C[i, a] * dt
             if size(model) > SG:
                 F[PHI + a, SG + i] = -C[i, a] * (u[_W + i] - x[10 + i]) * dt
-    F[V, PHI + 1], F[V, PHI + 2] = force[2] * dt, -force[1] * dt
-    F[V + 1, PHI], F[V + 1, PHI + 2] = -force[2] * dt, force[0] * dt
-    F[V + 2, PHI], F[V + 2, PHI + 1] = force[1] * dt, -force[0] * dt
+    F[V, PHI + 1], F[V, PHI + 2] = down, -east
+    F[V + 1, PHI], F[V + 1, PHI + 2] = -down, north
+    F[V + 2, PHI], F[V + 2, PHI + 1] = east, -north
 
 
 def _process_noise(model: Any, x: np.ndarray, u: np.ndarray, dt: float, P: np.ndarray) -> None:
@@ -230,24 +224,21 @@ def _process_noise(model: Any, x: np.ndarray, u: np.ndarray, dt: float, P: np.nd
 
 
 def _retract(model: Any, x: np.ndarray, dx: np.ndarray, out: np.ndarray) -> None:
-    _turn_n(x, dx[0], dx[1], dx[2], out)
+    turn_nav(x, dx[0], dx[1], dx[2], out)
     for i in range(3):
         out[4 + i] = x[4 + i] + dx[3 + i]
-    move(x[7:10], dx[6], dx[7], dx[8], out[7:10])
+    move((x[7], x[8], x[9]), dx[6], dx[7], dx[8], out[7:10])
     for i in range(9, size(model)):
         out[1 + i] = x[1 + i] + dx[i]
 
 
 def _difference(model: Any, x: np.ndarray, origin: np.ndarray, out: np.ndarray) -> None:
-    inverse, back = np.empty(4), np.empty(4)
-    for i in range(4):
-        sign = 1.0 if i == 0 else -1.0
-        inverse[i], back[i] = sign * x[i], sign * origin[i]
+    back, inverse = (origin[0], -origin[1], -origin[2], -origin[3]), (x[0], -x[1], -x[2], -x[3])
     rotation_between(back, inverse, out)  # x* = origin* (x) exp_q(-phi)
     for i in range(3):
         out[i] = -out[i]
         out[3 + i] = x[4 + i] - origin[4 + i]
-    apart(x[7:10], origin[7:10], out[6:9])
+    apart((x[7], x[8], x[9]), (origin[7], origin[8], origin[9]), out[6:9])
 
 
 def _constrain(model: Any, x: np.ndarray) -> None:
