@@ -33,7 +33,7 @@ class Method:
     name: str
     text: str  # what it is, one line
     source: str  # the paper
-    filter: str  # module:class; empty: the setting "filter" says which
+    filter: str  # module:maker; empty: the setting "filter" says which
     model: str  # module with `build`
     settings: Mapping[str, Setting]
     filter_settings: tuple[str, ...] = ()  # those that are fields of the filter's class
@@ -101,12 +101,12 @@ _MARG = {
 }
 _FILTERS = {
     "ekf": "estimators.filters.ekf:Ekf",
-    "ckf": "estimators.filters.ckf:Ckf",
-    "cdkf": "estimators.filters.cdkf:Cdkf",
-    "ukf": "estimators.filters.ukf:Ukf",
-    "srckf": "estimators.filters.square_root:SrCkf",
-    "srcdkf": "estimators.filters.square_root:SrCdkf",
-    "srukf": "estimators.filters.square_root:SrUkf",
+    "ckf": "estimators.filters.ckf:ckf",
+    "cdkf": "estimators.filters.cdkf:cdkf",
+    "ukf": "estimators.filters.ukf:ukf",
+    "srckf": "estimators.filters.square_root:srckf",
+    "srcdkf": "estimators.filters.square_root:srcdkf",
+    "srukf": "estimators.filters.square_root:srukf",
 }
 
 
@@ -214,27 +214,27 @@ _METHODS = (
     ),
     Method(
         "marg-ckf", "Cubature Kalman filter on quaternion, body rate and gyro bias", _PAPER_0,
-        "estimators.filters.ckf:Ckf", "estimators.models.marg", _MARG,
+        "estimators.filters.ckf:ckf", "estimators.models.marg", _MARG,
     ),
     Method(
         "marg-cdkf", "Central difference Kalman filter on quaternion, body rate and gyro bias", _PAPER_0,
-        "estimators.filters.cdkf:Cdkf", "estimators.models.marg", {**_MARG, **_CDKF}, ("h",),
+        "estimators.filters.cdkf:cdkf", "estimators.models.marg", {**_MARG, **_CDKF}, ("h",),
     ),
     Method(
         "marg-ukf", "Unscented Kalman filter on quaternion, body rate and gyro bias", _OWN,
-        "estimators.filters.ukf:Ukf", "estimators.models.marg", {**_MARG, **_UKF}, tuple(_UKF),
+        "estimators.filters.ukf:ukf", "estimators.models.marg", {**_MARG, **_UKF}, tuple(_UKF),
     ),
     Method(
         "marg-srckf", "marg-ckf in square-root form: keeps the Cholesky factor of the covariance", _OWN,
-        "estimators.filters.square_root:SrCkf", "estimators.models.marg", _MARG,
+        "estimators.filters.square_root:srckf", "estimators.models.marg", _MARG,
     ),
     Method(
         "marg-srcdkf", "marg-cdkf in square-root form", _OWN,
-        "estimators.filters.square_root:SrCdkf", "estimators.models.marg", {**_MARG, **_CDKF}, ("h",),
+        "estimators.filters.square_root:srcdkf", "estimators.models.marg", {**_MARG, **_CDKF}, ("h",),
     ),
     Method(
         "marg-srukf", "marg-ukf in square-root form", _OWN,
-        "estimators.filters.square_root:SrUkf", "estimators.models.marg", {**_MARG, **_UKF}, tuple(_UKF),
+        "estimators.filters.square_root:srukf", "estimators.models.marg", {**_MARG, **_UKF}, tuple(_UKF),
     ),
     Method(
         "fakf", "Attitude error and gyro bias, noise of each sensor adapted to its innovations (fuzzy)", _PAPER_2,
@@ -254,7 +254,7 @@ _METHODS = (
     ),
     Method(
         "ins9-ukf", "Inertial navigator, 9 states; dual antenna or course by number of satellites", _PAPER_1,
-        "estimators.filters.ukf:Ukf", "estimators.models.ins9", {**_INS9, **_UKF}, tuple(_UKF),
+        "estimators.filters.ukf:ukf", "estimators.models.ins9", {**_INS9, **_UKF}, tuple(_UKF),
     ),
     Method(
         "ins9-ekf", "The same, extended Kalman filter", _PAPER_1,

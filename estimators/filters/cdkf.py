@@ -7,22 +7,9 @@
     covariance  sum d_i d_i^T/(4 h^2) + (h^2-1)/(4 h^4) s_i s_i^T
 """
 
-from typing import Any, NamedTuple
-
-from estimators.filters.points import predict_points, project_points
-from estimators.generic import register
+from estimators.filters.points import Points
 
 
-class Cdkf(NamedTuple):
-    """Parameter: the interval of the central differences."""
-
-    h: float = 3.0**0.5
-
-
-def rule_of(method: Any, n: int) -> tuple[float, float, float]:
-    """`rule` of `points`."""
-    h2 = method.h * method.h
-    return method.h, (h2 - 1.0) / (4.0 * h2 * h2), 0.0
-
-
-register(Cdkf, predict=predict_points, project=project_points, rule=rule_of)
+def cdkf(h: float = 3.0**0.5) -> Points:
+    """The filter, of the interval of the central differences."""
+    return Points(growth=0.0, interval2=h * h, less=1.0, square=0.0)

@@ -7,19 +7,9 @@ f(0) + (s_i +- d_i)/2`:
     covariance  1/(2n) sum f(+-) f(+-)^T - mean^2 = sum (d_i d_i^T + s_i s_i^T)/(4n) - delta delta^T     eq. (6)
 """
 
-from typing import Any, NamedTuple
-
-from estimators.filters.points import predict_points, project_points
-from estimators.generic import register
+from estimators.filters.points import Points
 
 
-class Ckf(NamedTuple):
-    """No parameters."""
-
-
-def rule_of(method: Any, n: int) -> tuple[float, float, float]:
-    """`rule` of `points`."""
-    return n**0.5, 0.25 / n, -1.0
-
-
-register(Ckf, predict=predict_points, project=project_points, rule=rule_of)
+def ckf() -> Points:
+    """The filter; no parameters."""
+    return Points(growth=1.0, interval2=0.0, less=0.0, square=-1.0)

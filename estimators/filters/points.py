@@ -9,18 +9,19 @@ weigh
     covariance       sum_i [ d_i d_i^T / (4 h^2) + even s_i s_i^T ] + square delta delta^T
     cross covariance sum_i S e_i d_i^T / (2 h)
 
-(`h`, `even`, `square`) come from the filter's `rule`; each filter's file derives its own from its paper. A component
-that f does not read leaves d_i = s_i = 0, one that f passes on unchanged is reproduced exactly: so only the components
-that the model declares are evaluated. Differences are the model's own, so that states on a manifold need nothing more.
+`h`, `even` and `square` come from four numbers of a filter (`Points`), derived from its paper in the filter's own file:
+all three are one type and compiled once. A component that f does not read leaves d_i = s_i = 0, one that f passes on
+unchanged is reproduced exactly: so only the components that the model declares are evaluated. Differences are the
+model's own, so that states on a manifold need nothing more.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from estimators.filters.base import Work
 from estimators.filters.ekf import project_linear
-from estimators.generic import generic
+from estimators.generic import register
 from estimators.jit import inner, njit
 from estimators.linalg import leading_cholesky
 from estimators.models.base import (
@@ -62,9 +63,20 @@ def spread(
                 out[a, b] += weighted_d * d[i, b] + weighted_s * s[i, b]
 
 
-@generic
-def rule(method: Any, n: int) -> tuple[float, float, float]:  # type: ignore[empty-body]
+class Points(NamedTuple):
+    """What tells one of these filters from another."""
+
+    growth: float  # h^2 = growth n + interval2, n the components of the state
+    interval2: float
+    less: float  # even = (h^2 - less) / (4 h^4)
+    square: float
+
+
+@inner
+def rule(method: Any, n: int) -> tuple[float, float, float]:
     """`(h, even, square)` of a filter for a state of n components."""
+    h2 = method.growth * n + method.interval2
+    return h2**0.5, (h2 - method.less) / (4.0 * h2 * h2), method.square
 
 
 @inner
@@ -188,3 +200,6 @@ def _project_nonlinear(
             for j in range(i, n):
                 C[a, j] += weighted * L[i, j]
     return ok
+
+
+register(Points, predict=predict_points, project=project_points)

@@ -14,34 +14,37 @@ span 1e24 where the plain form has 1e12. `carry.P` holds S.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from estimators.filters import cdkf, ckf, ukf
 from estimators.filters.base import Work
-from estimators.filters.points import observe_points, propagate_points
+from estimators.filters.cdkf import cdkf
+from estimators.filters.ckf import ckf
+from estimators.filters.points import Points, observe_points, propagate_points
+from estimators.filters.ukf import ukf
 from estimators.generic import register
 from estimators.jit import inner, njit
 from estimators.models.base import LINEAR, READ, ROWS, changed, observe, process_noise, read, size, slope
 
 
-class SrCkf(NamedTuple):
-    """No parameters."""
+class RootPoints(Points):
+    """A filter of `points` in this form."""
 
 
-class SrCdkf(NamedTuple):
-    """Parameter: the interval of the central differences."""
+def srckf() -> RootPoints:
+    """`ckf` in this form."""
+    return RootPoints(*ckf())
 
-    h: float = 3.0**0.5
+
+def srcdkf(h: float = 3.0**0.5) -> RootPoints:
+    """`cdkf` in this form."""
+    return RootPoints(*cdkf(h))
 
 
-class SrUkf(NamedTuple):
-    """Parameters."""
-
-    alpha: float = 1.0
-    beta: float = 2.0
-    kappa: float = 0.0
+def srukf(alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0) -> RootPoints:
+    """`ukf` in this form."""
+    return RootPoints(*ukf(alpha, beta, kappa))
 
 
 @njit
@@ -227,13 +230,4 @@ def _covariance(method: Any, P: np.ndarray, work: Work) -> np.ndarray:
     return out
 
 
-for _type, _plain in ((SrCkf, ckf), (SrCdkf, cdkf), (SrUkf, ukf)):
-    register(
-        _type,
-        predict=_predict,
-        project=_project,
-        correct=_correct,
-        stored=_stored,
-        covariance=_covariance,
-        rule=_plain.rule_of,
-    )
+register(RootPoints, predict=_predict, project=_project, correct=_correct, stored=_stored, covariance=_covariance)

@@ -11,25 +11,10 @@ On a model whose state lies on a manifold (an error quaternion behind generalise
 USQUE form: points are errors that the model retracts, and propagated points are differenced with the propagated mean.
 """
 
-from typing import Any, NamedTuple
-
-from estimators.filters.points import predict_points, project_points
-from estimators.generic import register
+from estimators.filters.points import Points
 
 
-class Ukf(NamedTuple):
-    """Parameters."""
-
-    alpha: float = 1.0
-    beta: float = 2.0
-    kappa: float = 0.0
-
-
-def rule_of(method: Any, n: int) -> tuple[float, float, float]:
-    """`rule` of `points`."""
-    alpha2 = method.alpha * method.alpha
-    h2 = alpha2 * (n + method.kappa)
-    return h2**0.5, 0.25 / h2, method.beta - alpha2
-
-
-register(Ukf, predict=predict_points, project=project_points, rule=rule_of)
+def ukf(alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0) -> Points:
+    """The filter, of its three parameters."""
+    alpha2 = alpha * alpha
+    return Points(growth=alpha2, interval2=alpha2 * kappa, less=0.0, square=beta - alpha2)

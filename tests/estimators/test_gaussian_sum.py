@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimators.filters.base import Work
-from estimators.filters.ckf import Ckf
+from estimators.filters.ckf import ckf
 from estimators.filters.ekf import Ekf
 from estimators.filters.gaussian_sum import (
     Bank,
@@ -87,7 +87,7 @@ def test_weights_follow_the_likelihood_and_sum_to_one():
 def test_any_filter_serves():
     bank, work = bank_of(3), Work.make(MODEL, 2)
     for k in range(1, 10):
-        assert step(Ckf(), MODEL, bank, work, inputs(k), measured(k), USED, 0.5)
+        assert step(ckf(), MODEL, bank, work, inputs(k), measured(k), USED, 0.5)
     assert np.linalg.eigvalsh(bank.P).min() > 0
 
 

@@ -7,7 +7,7 @@ from synthetic import SITE, error_deg, flight, from_euler, matrix_bn
 from estimators import SensorInfo, create
 from estimators.adaptation import base, fuzzy, gating
 from estimators.filters.base import Work, predict
-from estimators.filters.ukf import Ukf
+from estimators.filters.ukf import ukf
 from estimators.models.base import difference, observe, propagate, residual, retract, slope, transition
 
 NAMES = ["fakf", "sekf", "ins9-ekf"]
@@ -155,7 +155,7 @@ def test_the_unscented_prediction_equals_its_oracle(settings):
     cov[range(3, 6), range(3, 6)] += 1e-6 * 0.05
     cov[range(6, 9), range(6, 9)] += model.accel_psd * 0.05
     got, got_P = x.copy(), P.copy()
-    assert predict(Ukf(*settings), model, got, got_P, u, 0.05, Work.make(model, 10))
+    assert predict(ukf(*settings), model, got, got_P, u, 0.05, Work.make(model, 10))
     np.testing.assert_allclose(got, expected, atol=1e-9)
     np.testing.assert_allclose(got_P, cov, atol=1e-9)
 
