@@ -1,12 +1,13 @@
-"""Time of one filter step against filterpy's on the same model and data, one thread, measured in turns in one run.
+"""Time of one filter step against filterpy's and pyins', one thread, measured in turns in one run.
 
     python benchmarks/filter_speed.py [--repeat N] [--no-cold]
 
 Each figure is the best of many short stretches, so that other work on the machine disturbs little; the ratio is what
-counts. `marg-*` stand still with every sensor new in every row (the full update); `ins*` fly turns on a low-cost suite
-(field at 50 Hz, GNSS at 5 Hz). Without filterpy only our own times are printed; no package of the extras has an
-inertial navigator to compare with. Last, in processes of their own: compilation of the whole catalogue with an empty
-cache, and the same again from the disk.
+counts. `marg-*` stand still with every sensor new in every row (the full update); filterpy has the same model and data.
+`ins*` fly turns on a low-cost suite (field at 50 Hz, GNSS at 5 Hz); pyins (MIT, version 1, from its repository: it is
+not in the package index) navigates on the same samples with its feedback filter: 15 states, the same GNSS, no field,
+covariance ten times a second as is its default. Without these packages only our own times are printed. Last, in
+processes of their own: compilation of the whole catalogue with an empty cache, and the same again from the disk.
 """
 
 import argparse
@@ -144,6 +145,37 @@ def peers() -> dict[str, Callable[[int], float]]:
     return {"marg-ekf": run_ekf, "marg-ckf": run_points(ckf, True), "marg-ukf": run_points(ukf, False)}
 
 
+def navigator() -> Callable[[Samples, np.ndarray], float] | None:
+    """Pyins' extended Kalman filter: (samples, q_nb at the first) -> seconds; None when it is not installed."""
+    try:
+        import pandas as pd
+        from pyins import filters, inertial_sensor, measurements, strapdown, transform
+        from scipy.spatial.transform import Rotation
+    except ImportError:
+        return None
+
+    def run(part: Samples, q_nb: np.ndarray) -> float:
+        t, new = part.t, part.gnss_new
+        place = np.hstack([np.degrees(part.lla[:, :2]), part.lla[:, 2:]])
+        attitude = transform.mat_to_rph(Rotation.from_quat(np.roll(q_nb, -1)).as_matrix())
+        names = ["lat", "lon", "alt", "VN", "VE", "VD", "roll", "pitch", "heading"]
+        first = int(np.flatnonzero(new)[0])
+        start = pd.Series(np.hstack([place[first], part.vel_n[first], attitude]), index=names, name=t[0])
+        axes = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
+        readings = pd.DataFrame(np.hstack([part.gyro_b, part.accel_b]), index=t, columns=axes)
+        # a fix counts at the row that brings it
+        fixes = pd.DataFrame(np.hstack([place, part.vel_n])[new], index=t[new], columns=names[:6])
+        gyro = inertial_sensor.EstimationModel(bias_sd=3e-3, noise=1e-3, bias_walk=1e-5)
+        accel = inertial_sensor.EstimationModel(bias_sd=0.05, noise=0.05, bias_walk=1e-4)
+        aids = [measurements.Position(fixes, 5.0), measurements.NedVelocity(fixes, 0.15)]
+        began = time.perf_counter()
+        increments = strapdown.compute_increments_from_imu(readings, "rate")
+        filters.run_feedback_filter(start, 5.0, 0.5, 2.0, 5.0, increments, gyro, accel, aids)
+        return time.perf_counter() - began
+
+    return run
+
+
 def flown(stretches: int) -> Samples:
     """A low-cost suite in turns at 30 degrees of bank, after a minute of standing."""
     from ahrs_sim.papers import bench
@@ -197,6 +229,9 @@ def main() -> None:
     if not others:
         print("filterpy is not installed: no ratios")
     peer_best = dict.fromkeys(others, float("inf"))
+    navigate = navigator()
+    if navigate is None:
+        print("pyins is not installed: no ratios of the navigators")
 
     def part(key: str, i: int) -> Samples:
         if key.startswith("ins"):
@@ -207,8 +242,13 @@ def main() -> None:
         for key, estimator in ours.items():
             block = part(key, i)
             start = time.perf_counter()
-            estimator.process(block)
+            estimates = estimator.process(block)
             best[key] = min(best[key], (time.perf_counter() - start) / STRETCH)
+        if navigate is not None:  # the last estimator is a navigator
+            seconds = navigate(block, estimates.q_nb[0]) / (STRETCH - 1)
+            for key in OURS:
+                if key.startswith("ins"):
+                    peer_best[key] = min(peer_best.get(key, float("inf")), seconds)
         for key, run in others.items():
             rows = STRETCH // 4
             peer_best[key] = min(peer_best[key], run(rows) / rows)
@@ -219,7 +259,7 @@ def main() -> None:
             start = time.perf_counter()
             estimator.process(row)
             single[key] = min(single[key], time.perf_counter() - start)
-    print(f"{'filter':<12}{'us/step':>9}{'one-sample call, us':>21}{'filterpy us/step':>18}{'ratio':>8}")
+    print(f"{'filter':<12}{'us/step':>9}{'one-sample call, us':>21}{'peer us/step':>18}{'ratio':>8}")
     for key in OURS:
         peer = peer_best.get(key)
         right = f"{1e6 * peer:>18.1f}{peer / best[key]:>8.0f}" if peer else f"{'-':>18}{'-':>8}"
