@@ -1,13 +1,11 @@
 """What every manoeuvre is, and the steering that several share."""
 
 import math
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
+from ahrs_sim.flight.autopilot import Autopilot, State, wrap
+from ahrs_sim.flight.fdm import Fdm
 from ahrs_sim.table import Table
-
-if TYPE_CHECKING:
-    from ahrs_sim.flight.fdm import Fdm
-    from ahrs_sim.flight.pilot import Autopilot, State
 
 G = 9.81  # m/s2
 
@@ -16,17 +14,12 @@ class Failure(Exception):
     """A manoeuvre cannot be completed: the reason."""
 
 
-def wrap(angle: float) -> float:
-    """The same angle in [-pi, pi)."""
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
-
-
 def clamp(value: float, limit: float) -> float:
     """`value` within +-`limit`."""
     return max(-limit, min(limit, value))
 
 
-def bank_for(state: "State", course: float, turn_rate: float = 0.0, limit: float = math.radians(30.0)) -> float:
+def bank_for(state: State, course: float, turn_rate: float = 0.0, limit: float = math.radians(30.0)) -> float:
     """Bank angle that brings the ground track to `course`, on top of a turn at `turn_rate` (rad/s) along a curve.
 
     Working on the ground track and not on the heading takes care of the wind.
@@ -66,21 +59,21 @@ class Manoeuvre:
         """About how long it takes, s."""
         return 10.0
 
-    def bind(self, fdm: "Fdm") -> None:
+    def bind(self, fdm: Fdm) -> None:
         """Look up what is needed of the aircraft."""
 
-    def begin(self, ap: "Autopilot", state: "State") -> None:
+    def begin(self, ap: Autopilot, state: State) -> None:
         """Called once, before the first `step`."""
 
-    def step(self, ap: "Autopilot", state: "State") -> bool:
+    def step(self, ap: Autopilot, state: State) -> bool:
         """Adjust the set-points; True when the manoeuvre is complete."""
         raise NotImplementedError
 
-    def progress(self, state: "State") -> str:
+    def progress(self, state: State) -> str:
         """How far it got, for the message of a time-out."""
         return f"at {state.height:.0f} m, {state.airspeed:.1f} m/s"
 
-    def take_airspeed(self, ap: "Autopilot") -> None:
+    def take_airspeed(self, ap: Autopilot) -> None:
         """Make `airspeed_mps` the speed to hold, if it was given."""
         if self.new_airspeed is not None:
             ap.airspeed_goal = self.new_airspeed

@@ -3,14 +3,11 @@
 # ruff: noqa: D102  (`Manoeuvre` documents the methods which every class below defines)
 
 import math
-from typing import TYPE_CHECKING
 
-from ahrs_sim.flight.manoeuvres.base import Failure, G, Manoeuvre, bank_for, optional, wrap
+from ahrs_sim.flight.autopilot import Autopilot, State, wrap
+from ahrs_sim.flight.fdm import Fdm
+from ahrs_sim.flight.manoeuvres.base import Failure, G, Manoeuvre, bank_for, optional
 from ahrs_sim.table import Table
-
-if TYPE_CHECKING:
-    from ahrs_sim.flight.fdm import Fdm
-    from ahrs_sim.flight.pilot import Autopilot, State
 
 ROLL_RATE = 1.0  # rad/s, with which the autopilot rolls into and out of a turn
 
@@ -30,12 +27,12 @@ class Wait(Manoeuvre):
     def expected(self) -> float:
         return self.duration
 
-    def begin(self, ap: "Autopilot", state: "State") -> None:
+    def begin(self, ap: Autopilot, state: State) -> None:
         self.end = state.t + self.duration
         if self.motor is not None:
             ap.set("motor-on", float(self.motor))
 
-    def step(self, ap: "Autopilot", state: "State") -> bool:
+    def step(self, ap: Autopilot, state: State) -> bool:
         return state.t >= self.end - 1e-6
 
 
@@ -53,13 +50,13 @@ class Set(Manoeuvre):
     def expected(self) -> float:
         return 0.0
 
-    def bind(self, fdm: "Fdm") -> None:
+    def bind(self, fdm: Fdm) -> None:
         self.put = fdm.setter(self.property, f"{self.where}: property")
 
-    def begin(self, ap: "Autopilot", state: "State") -> None:
+    def begin(self, ap: Autopilot, state: State) -> None:
         self.put(self.value)
 
-    def step(self, ap: "Autopilot", state: "State") -> bool:
+    def step(self, ap: Autopilot, state: State) -> bool:
         return True
 
 
@@ -76,7 +73,7 @@ class Climb(Manoeuvre):
     def expected(self) -> float:
         return 40.0 / self.rate
 
-    def begin(self, ap: "Autopilot", state: "State") -> None:
+    def begin(self, ap: Autopilot, state: State) -> None:
         way = self.sign * (self.height - state.height)
         if way < -5.0:
             other = "descend" if self.sign > 0.0 else "climb"
@@ -87,10 +84,10 @@ class Climb(Manoeuvre):
         ap.cruise()
         ap.altitude(ap.altitude_goal, self.rate)
 
-    def step(self, ap: "Autopilot", state: "State") -> bool:
+    def step(self, ap: Autopilot, state: State) -> bool:
         return self.sign * (self.height - state.height) < 1.0
 
-    def progress(self, state: "State") -> str:
+    def progress(self, state: State) -> str:
         return f"at {state.height:.0f} of {self.height:.0f} m, climbing {state.climb:.1f} m/s"
 
 
@@ -114,19 +111,19 @@ class Straight(Manoeuvre):
     def expected(self) -> float:
         return self.duration + (0.0 if self.heading is None else 8.0)
 
-    def begin(self, ap: "Autopilot", state: "State") -> None:
+    def begin(self, ap: Autopilot, state: State) -> None:
         self.take_airspeed(ap)
         if self.heading is not None:
             ap.heading_goal = self.heading
         ap.cruise()
         self.end: float | None = None
 
-    def step(self, ap: "Autopilot", state: "State") -> bool:
+    def step(self, ap: Autopilot, state: State) -> bool:
         if self.end is None and abs(wrap(state.heading - ap.heading_goal)) < math.radians(10.0):
             self.end = state.t + self.duration
         return self.end is not None and state.t >= self.end - 1e-6
 
-    def progress(self, state: "State") -> str:
+    def progress(self, state: State) -> str:
         return f"heading {math.degrees(state.heading):.0f} deg"
 
 
@@ -166,14 +163,14 @@ class Turn(Manoeuvre):
         rate = G * math.tan(self.bank) / 20.0 if self.rate is None else self.rate
         return (self.through or 0.0) / rate + 2.0
 
-    def begin(self, ap: "Autopilot", state: "State") -> None:
+    def begin(self, ap: Autopilot, state: State) -> None:
         self.take_airspeed(ap)
         ap.level()
         self.started = state.t
         self.from_turned = state.turned
         self.from_heading = ap.heading_goal
 
-    def step(self, ap: "Autopilot", state: "State") -> bool:
+    def step(self, ap: Autopilot, state: State) -> bool:
         bank = self.bank if self.rate is None else math.atan(max(state.airspeed, 10.0) * self.rate / G)
         if self.duration is not None:
             done = state.t - self.started >= self.duration - 1e-6
@@ -192,11 +189,11 @@ class Turn(Manoeuvre):
             ap.roll(self.sign * bank)
         return done
 
-    def turned(self, state: "State") -> float:
+    def turned(self, state: State) -> float:
         """How far round, rad, from the heading that was to be held before."""
         return state.turned - self.from_turned
 
-    def progress(self, state: "State") -> str:
+    def progress(self, state: State) -> str:
         if self.through is None:
             return f"turned {math.degrees(self.turned(state)):.0f} deg"
         return f"turned {math.degrees(self.turned(state)):.0f} of {math.degrees(self.sign * self.through):.0f} deg"
@@ -220,12 +217,12 @@ class FigureEight(Manoeuvre):
     def expected(self) -> float:
         return sum(turn.expected() for turn in self.turns)
 
-    def begin(self, ap: "Autopilot", state: "State") -> None:
+    def begin(self, ap: Autopilot, state: State) -> None:
         self.take_airspeed(ap)
         self.number = 0
         self.turns[0].begin(ap, state)
 
-    def step(self, ap: "Autopilot", state: "State") -> bool:
+    def step(self, ap: Autopilot, state: State) -> bool:
         if not self.turns[self.number].step(ap, state):
             return False
         self.number += 1
@@ -234,7 +231,7 @@ class FigureEight(Manoeuvre):
         self.turns[self.number].begin(ap, state)
         return False
 
-    def progress(self, state: "State") -> str:
+    def progress(self, state: State) -> str:
         return f"circle {self.number + 1} of {len(self.turns)}: {self.turns[self.number].progress(state)}"
 
 
@@ -265,7 +262,7 @@ class Orbit(Manoeuvre):
     def expected(self) -> float:
         return self.through * self.radius / 20.0 + 10.0
 
-    def begin(self, ap: "Autopilot", state: "State") -> None:
+    def begin(self, ap: Autopilot, state: State) -> None:
         self.take_airspeed(ap)
         ap.level()
         north, east = self.centre or (state.north, state.east)
@@ -275,7 +272,7 @@ class Orbit(Manoeuvre):
         self.swept = 0.0
         self.bearing: float | None = None  # from the centre, once on the circle
 
-    def step(self, ap: "Autopilot", state: "State") -> bool:
+    def step(self, ap: Autopilot, state: State) -> bool:
         north, east = state.north - self.north, state.east - self.east
         distance, bearing = math.hypot(north, east), math.atan2(east, north)
         off = distance - self.radius
@@ -292,7 +289,7 @@ class Orbit(Manoeuvre):
         ap.heading(ap.heading_goal)
         return True
 
-    def progress(self, state: "State") -> str:
+    def progress(self, state: State) -> str:
         distance = math.hypot(state.north - self.north, state.east - self.east)
         return (
             f"{math.degrees(self.swept):.0f} of {math.degrees(self.through):.0f} deg round, {distance:.0f} m from the "

@@ -3,13 +3,10 @@
 # ruff: noqa: D102  (`Manoeuvre` documents the methods which every class below defines)
 
 import math
-from typing import TYPE_CHECKING
 
-from ahrs_sim.flight.manoeuvres.base import Failure, G, Manoeuvre, bank_for, clamp, optional, wrap
+from ahrs_sim.flight.autopilot import Autopilot, State, wrap
+from ahrs_sim.flight.manoeuvres.base import Failure, G, Manoeuvre, bank_for, clamp, optional
 from ahrs_sim.table import Table
-
-if TYPE_CHECKING:
-    from ahrs_sim.flight.pilot import Autopilot, State
 
 
 class Takeoff(Manoeuvre):
@@ -25,7 +22,7 @@ class Takeoff(Manoeuvre):
     def expected(self) -> float:
         return 10.0 + self.height / 4.0
 
-    def begin(self, ap: "Autopilot", state: "State") -> None:
+    def begin(self, ap: Autopilot, state: State) -> None:
         if not state.on_ground:
             raise Failure("the aircraft is in the air already; leave this step out")
         self.take_airspeed(ap)
@@ -36,13 +33,13 @@ class Takeoff(Manoeuvre):
         ap.heading(ap.heading_goal)
         ap.set("phase", 1)
 
-    def step(self, ap: "Autopilot", state: "State") -> bool:
+    def step(self, ap: Autopilot, state: State) -> bool:
         if state.height < self.height:
             return False
         ap.cruise()
         return True
 
-    def progress(self, state: "State") -> str:
+    def progress(self, state: State) -> str:
         return f"at {state.height:.0f} of {self.height:.0f} m, {state.airspeed:.1f} m/s"
 
 
@@ -65,20 +62,20 @@ class Approach(Manoeuvre):
     def expected(self) -> float:
         return 60.0 + self.distance / 14.0
 
-    def begin(self, ap: "Autopilot", state: "State") -> None:
+    def begin(self, ap: Autopilot, state: State) -> None:
         # the way back counts for the time-out
         self.timeout = max(self.timeout, 120.0 + (math.hypot(state.north, state.east) + 2.0 * self.distance) / 4.0)
         self.rounds = 0
         self.join(ap, state)
 
-    def join(self, ap: "Autopilot", state: "State") -> None:
+    def join(self, ap: Autopilot, state: State) -> None:
         """Head for the point where the glide path begins."""
         ap.airspeed_goal = self.speed
         ap.altitude_goal = state.altitude - state.height + max(15.0, self.distance * math.tan(self.glide))
         ap.level()
         self.lined_up = False
 
-    def step(self, ap: "Autopilot", state: "State") -> bool:
+    def step(self, ap: Autopilot, state: State) -> bool:
         along, cross = runway(state)
         if not self.lined_up:
             before = along + self.distance  # > 0: past the point of joining
@@ -103,7 +100,7 @@ class Approach(Manoeuvre):
         self.join(ap, state)
         return False
 
-    def course_to_join(self, state: "State", along: float, cross: float) -> float:
+    def course_to_join(self, state: State, along: float, cross: float) -> float:
         """Course to a point ahead of the joining point, so far that the last turn ends on the runway's line."""
         radius = state.ground_speed**2 / (G * math.tan(self.bank))
         back = self.distance + 2.5 * radius
@@ -114,7 +111,7 @@ class Approach(Manoeuvre):
             return runway_course(state, cross)
         return state.home_heading + math.atan2(target_cross - cross, target_along - along)
 
-    def progress(self, state: "State") -> str:
+    def progress(self, state: State) -> str:
         along, cross = runway(state)
         return f"{-along:.0f} m before the runway, {cross:.0f} m beside its line, at {state.height:.0f} m"
 
@@ -132,7 +129,7 @@ class Land(Manoeuvre):
     def expected(self) -> float:
         return 25.0
 
-    def begin(self, ap: "Autopilot", state: "State") -> None:
+    def begin(self, ap: Autopilot, state: State) -> None:
         if self.flare is not None:
             ap.set("flare-height-m", self.flare)
         ap.set("glide-angle-rad", self.glide)
@@ -140,7 +137,7 @@ class Land(Manoeuvre):
         ap.set("phase", 2)
         self.down: float | None = None  # since when it has stood still
 
-    def step(self, ap: "Autopilot", state: "State") -> bool:
+    def step(self, ap: Autopilot, state: State) -> bool:
         _, cross = runway(state)
         ap.roll(bank_for(state, runway_course(state, cross), limit=math.radians(15.0)))
         ap.set("heading-cmd-rad", state.home_heading)
@@ -155,16 +152,16 @@ class Land(Manoeuvre):
         ap.set("motor-on", 0)
         return True
 
-    def progress(self, state: "State") -> str:
+    def progress(self, state: State) -> str:
         return f"at {state.height:.1f} m, {state.ground_speed:.1f} m/s over ground"
 
 
-def runway(state: "State") -> tuple[float, float]:
+def runway(state: State) -> tuple[float, float]:
     """Where the aircraft is: m along the runway from the start (negative: before it) and m to the right of its line."""
     cos, sin = math.cos(state.home_heading), math.sin(state.home_heading)
     return state.north * cos + state.east * sin, state.east * cos - state.north * sin
 
 
-def runway_course(state: "State", cross: float) -> float:
+def runway_course(state: State, cross: float) -> float:
     """Course that leads onto the runway's line and along it."""
     return state.home_heading - math.radians(50.0) * 2.0 / math.pi * math.atan(cross / 25.0)

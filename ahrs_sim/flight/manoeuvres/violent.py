@@ -3,13 +3,10 @@
 # ruff: noqa: D102  (`Manoeuvre` documents the methods which every class below defines)
 
 import math
-from typing import TYPE_CHECKING
 
+from ahrs_sim.flight.autopilot import Autopilot, State
 from ahrs_sim.flight.manoeuvres.base import Manoeuvre, clamp
 from ahrs_sim.table import Table
-
-if TYPE_CHECKING:
-    from ahrs_sim.flight.pilot import Autopilot, State
 
 
 class WindupTurn(Manoeuvre):
@@ -30,12 +27,12 @@ class WindupTurn(Manoeuvre):
     def expected(self) -> float:
         return abs(self.bank) / self.rate + self.hold
 
-    def begin(self, ap: "Autopilot", state: "State") -> None:
+    def begin(self, ap: Autopilot, state: State) -> None:
         self.take_airspeed(ap)
         ap.level()
         self.started = state.t
 
-    def step(self, ap: "Autopilot", state: "State") -> bool:
+    def step(self, ap: Autopilot, state: State) -> bool:
         elapsed = state.t - self.started
         if elapsed >= self.expected():
             ap.heading_goal = state.heading
@@ -62,12 +59,12 @@ class Doublet(Manoeuvre):
     def expected(self) -> float:
         return self.duration + self.rest
 
-    def begin(self, ap: "Autopilot", state: "State") -> None:
+    def begin(self, ap: Autopilot, state: State) -> None:
         self.take_airspeed(ap)
         ap.cruise()
         self.started = state.t
 
-    def step(self, ap: "Autopilot", state: "State") -> bool:
+    def step(self, ap: Autopilot, state: State) -> bool:
         elapsed = state.t - self.started + 1e-6
         if elapsed < self.duration:
             ap.set(f"{self.surface}-add-norm", self.size if elapsed < 0.5 * self.duration else -self.size)
@@ -89,13 +86,13 @@ class PullUp(Manoeuvre):
     def expected(self) -> float:
         return 2.0 * self.pitch / self.rate + self.hold + 2.0
 
-    def begin(self, ap: "Autopilot", state: "State") -> None:
+    def begin(self, ap: Autopilot, state: State) -> None:
         self.take_airspeed(ap)
         ap.cruise()
         ap.throttle(1.0)
         self.top: float | None = None
 
-    def step(self, ap: "Autopilot", state: "State") -> bool:
+    def step(self, ap: Autopilot, state: State) -> bool:
         if self.top is None:
             ap.pitch_rate(self.rate)
             if state.pitch >= self.pitch - 0.1 * self.rate:
@@ -110,7 +107,7 @@ class PullUp(Manoeuvre):
         ap.cruise()
         return True
 
-    def progress(self, state: "State") -> str:
+    def progress(self, state: State) -> str:
         return f"pitch {math.degrees(state.pitch):.0f} deg, {state.airspeed:.1f} m/s"
 
 
@@ -126,12 +123,12 @@ class Loop(Manoeuvre):
     def expected(self) -> float:
         return 2.0 * math.pi / self.rate + 10.0
 
-    def begin(self, ap: "Autopilot", state: "State") -> None:
+    def begin(self, ap: Autopilot, state: State) -> None:
         ap.cruise()
         ap.throttle(1.0)
         self.from_pitched: float | None = None
 
-    def step(self, ap: "Autopilot", state: "State") -> bool:
+    def step(self, ap: Autopilot, state: State) -> bool:
         if self.from_pitched is None:
             if state.airspeed < self.entry:
                 return False
@@ -145,7 +142,7 @@ class Loop(Manoeuvre):
         ap.cruise()
         return True
 
-    def progress(self, state: "State") -> str:
+    def progress(self, state: State) -> str:
         if self.from_pitched is None:
             return f"{state.airspeed:.1f} m/s, entry at {self.entry:.1f}"
         return f"{math.degrees(state.pitched - self.from_pitched):.0f} deg of the loop, {state.airspeed:.1f} m/s"
@@ -167,14 +164,14 @@ class Roll(Manoeuvre):
     def expected(self) -> float:
         return self.through / self.rate + 3.0
 
-    def begin(self, ap: "Autopilot", state: "State") -> None:
+    def begin(self, ap: Autopilot, state: State) -> None:
         self.take_airspeed(ap)
         ap.cruise()
         ap.throttle(0.8)
         ap.pitch(self.pitch)
         self.from_rolled: float | None = None
 
-    def step(self, ap: "Autopilot", state: "State") -> bool:
+    def step(self, ap: Autopilot, state: State) -> bool:
         if self.from_rolled is None:
             if state.pitch < self.pitch - math.radians(3.0):
                 return False
@@ -187,7 +184,7 @@ class Roll(Manoeuvre):
         ap.cruise()
         return True
 
-    def progress(self, state: "State") -> str:
+    def progress(self, state: State) -> str:
         if self.from_rolled is None:
             return f"pitch {math.degrees(state.pitch):.0f} deg, entry at {math.degrees(self.pitch):.0f}"
         return f"rolled {math.degrees(state.rolled - self.from_rolled):.0f} deg"
