@@ -55,6 +55,7 @@ class Autopilot:
         self.altitude_goal = 0.0
         self.heading_goal = 0.0
         self.airspeed_goal = 20.0
+        self.handed_over = True  # fly on the estimate, if there is one
         self.asked = [math.nan] * 6  # roll, pitch, heading, altitude, climb rate, airspeed
 
     def set(self, name: str, value: float) -> None:

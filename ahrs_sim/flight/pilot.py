@@ -12,7 +12,7 @@ import numpy as np
 from ahrs_sim.errors import InputError
 from ahrs_sim.flight.autopilot import Autopilot, State, wrap
 from ahrs_sim.flight.fdm import Fdm
-from ahrs_sim.flight.manoeuvres import Failure, Manoeuvre
+from ahrs_sim.flight.manoeuvres import Failure, HandOver, Manoeuvre
 from ahrs_sim.flight.truth import Event, Setpoints
 from ahrs_sim.world import wgs84
 
@@ -47,6 +47,8 @@ class Pilot:
                     f"{step.where}: do: '{step.name}' needs the autopilot of our own aircraft, which "
                     f"'{fdm.exec.get_model_name()}' has not; use wait, set, or a script"
                 )
+        if self.autopilot is not None:
+            self.autopilot.handed_over = not any(isinstance(step, HandOver) for step in self._steps)
         own = self.autopilot is not None
         euler = ("phi-rad", "theta-rad", "psi-rad")
         rates = ("p-rad_sec", "q-rad_sec", "r-rad_sec")
@@ -86,10 +88,13 @@ class Pilot:
             self.autopilot.cruise()
 
     def feedback(self, q_nb: np.ndarray, rate_b: np.ndarray) -> None:
-        """Attitude (4,) and rates (3,) rad/s of an estimator for the autopilot; what is not finite is ignored."""
+        """Attitude (4,) and rates (3,) rad/s of an estimator for the autopilot.
+
+        Ignored: what is not finite, and what comes before the step `hand_over`, where there is one.
+        """
         a, b, c, d = (float(x) for x in q_nb)
         p, q, r = (float(x) for x in rate_b)
-        if self.autopilot is None or not math.isfinite(a + b + c + d + p + q + r):
+        if self.autopilot is None or not self.autopilot.handed_over or not math.isfinite(a + b + c + d + p + q + r):
             return
         if not self._external:
             self.autopilot.set("external", 1)

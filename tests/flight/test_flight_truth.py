@@ -229,6 +229,19 @@ def test_the_aircraft_flies_on_an_estimate(error_deg):
     assert roll == pytest.approx(20.0 - error_deg, abs=0.6)
 
 
+def test_before_the_hand_over_it_flies_on_the_truth():
+    turn = {"do": "turn", "bank_deg": 20.0, "for_s": 6.0}
+    flight = open_flight(airborne(turn, {"do": "hand_over"}, turn))
+    tilt = np.array([[np.cos(np.radians(2.5)), np.sin(np.radians(2.5)), 0.0, 0.0]])
+    roll = []
+    while len(rows := flight.process(4)):
+        flight.feedback(product(rows.q_nb[-1:], tilt)[0], rows.rate_ib_b[-1])
+        roll.append((rows.t[-1], euler_deg(rows.q_nb)[0][-1]))
+    t, roll = np.array(roll).T
+    assert roll[(t > 4.0) & (t < 6.0)] == pytest.approx(20.0, abs=0.6)
+    assert roll[t > 10.0] == pytest.approx(15.0, abs=0.6)
+
+
 def test_circuit_says_its_lineup():
     text = (scenario.scenario_dir() / "circuit.toml").read_text(encoding="utf-8")
     data = tomllib.loads(text)

@@ -36,6 +36,25 @@ class Wait(Manoeuvre):
         return state.t >= self.end - 1e-6
 
 
+class HandOver(Manoeuvre):
+    """Up to here the autopilot flies on the truth, from here on on the estimator of `[pilot] attitude`.
+
+    Without this step it flies on the estimator as soon as that has an estimate.
+    """
+
+    name = "hand_over"
+    in_flight = False
+
+    def expected(self) -> float:
+        return 0.0
+
+    def begin(self, ap: "Autopilot", state: "State") -> None:
+        ap.handed_over = True
+
+    def step(self, ap: "Autopilot", state: "State") -> bool:
+        return True
+
+
 class Set(Manoeuvre):
     """Set any JSBSim `property` to `value`, at once."""
 
