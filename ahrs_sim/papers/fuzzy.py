@@ -37,8 +37,8 @@ _AXES = ("roll", "pitch", "heading")
 
 _TOO_GOOD = (
     "With the noise printed (10 ug, 1e-13 T, 10 deg/h) any correct filter errs by less than a thousandth of a degree: "
-    "the figures of the paper have another cause, such as its integration step, its float arithmetic or an alignment "
-    "error, and adaptation of R has nothing to do with them."
+    "the figures of the paper have another cause, which it does not tell, and adaptation of R has nothing to do with "
+    "them: the standard filter's errors are as small (rows below)."
 )
 _STEADY = (
     "With R wrong by 20 the gain is too high and the estimate noisier, not wrong: a Kalman filter with stable gains "
