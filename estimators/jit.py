@@ -14,7 +14,8 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba.extending import register_jitable
+from numba import types
+from numba.extending import intrinsic, overload, register_jitable
 
 
 def _cache_root() -> Path:
@@ -61,3 +62,40 @@ def inner(function: Callable[..., Any]) -> Callable[..., Any]:
     """For parts of kernels that take tuples: compiled into their callers, plain Python when called from there."""
     chosen: Callable[..., Any] = register_jitable(error_model="numpy", forceinline=True)(function)
     return chosen
+
+
+def borrowed(value: Any) -> Any:
+    """The same array, or NamedTuple of arrays, without counting references: each count is an atomic operation.
+
+    For the outermost kernel, which its caller's arrays outlive; what is borrowed must not leave it.
+    """
+    return value
+
+
+def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    if isinstance(kind, types.Array):
+        array = context.make_array(kind)(context, builder, value=value)
+        array.meminfo = array.meminfo.type(None)
+        array.parent = array.parent.type(None)
+        return array._getvalue()
+    if isinstance(kind, types.BaseTuple):
+        for i, part in enumerate(kind.types):
+            inside = _without_owner(context, builder, part, builder.extract_value(value, i))
+            value = builder.insert_value(value, inside, i)
+    return value
+
+
+@intrinsic
+def _borrowed(typing_context: Any, value: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _without_owner(context, builder, signature.return_type, arguments[0])
+
+    return value(value), generate
+
+
+@overload(borrowed, jit_options={"forceinline": True})
+def _choose_borrowed(value):  # type: ignore[no-untyped-def]
+    def taken(value):  # type: ignore[no-untyped-def]
+        return _borrowed(value)  # type: ignore[call-arg]
+
+    return taken

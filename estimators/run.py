@@ -11,7 +11,7 @@ import numpy as np
 
 from estimators.adaptation.base import admit, weigh
 from estimators.filters.base import Work, correct, covariance, predict, project
-from estimators.jit import inner, njit
+from estimators.jit import borrowed, inner, njit
 from estimators.linalg import healthy
 from estimators.models.base import (
     ROWS,
@@ -77,7 +77,7 @@ def update(
     """All measurement groups of a row; writes the independent innovations and their variances to the estimates."""
     S, y, measured, error, noise, scratch = work.S, work.y, work.measured, work.residual, work.noise, work.scratch
     counts, spread, dx, moved = work.used, work.variance, work.dx, work.x
-    ok = True  # no early return and no access to `work` in the loop: counting references costs more than the equations
+    ok = True  # no early return: it costs more than the equations
     for g in range(model.groups.shape[0]):
         start, rows = model.groups[g, START], model.groups[g, ROWS]
         any_used = False
@@ -114,6 +114,8 @@ def run(
     first: int,
 ) -> None:
     """Rows `first` to the end of samples (n, SAMPLE_WIDTH) into estimates (n, ESTIMATE_WIDTH) and status (n,)."""
+    model, carry, work = borrowed(model), borrowed(carry), borrowed(work)
+    rows, out, status = borrowed(rows), borrowed(out), borrowed(status)
     x, P, memory, clock, u, z, used = carry.x, carry.P, carry.memory, carry.clock, carry.u, carry.z, carry.used
     trust = carry.trust
     before = np.empty_like(x)
