@@ -79,7 +79,7 @@ def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
         array.parent = array.parent.type(None)
         return array._getvalue()
     if isinstance(kind, types.BaseTuple):
-        for i, part in enumerate(kind.types):
+        for i, part in enumerate(kind.types):  # type: ignore[attr-defined]
             inside = _without_owner(context, builder, part, builder.extract_value(value, i))
             value = builder.insert_value(value, inside, i)
     return value
