@@ -11,7 +11,7 @@ A class of your own joins as `create("package.module:Class")` or under a name of
 import importlib
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from importlib import metadata
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, cast
@@ -110,8 +110,9 @@ _FILTERS = {
 }
 
 
-def _ins(aiding: str, states: str = "21", accel_noise: float = 0.05) -> dict[str, Setting]:
-    return {
+def _ins(aiding: str, states: str = "21", **values: float) -> dict[str, Setting]:
+    """Settings of the navigators; `values` are defaults of this one that differ."""
+    known = {
         "filter": Setting("ekf", "how the errors are estimated", tuple(_FILTERS)),
         **{name: setting for name, setting in _START.items() if name != "initialisation"},
         "aiding": Setting(aiding, "what keeps the velocity", ("none", "gnss", "airspeed", "gnss+airspeed")),
@@ -120,19 +121,22 @@ def _ins(aiding: str, states: str = "21", accel_noise: float = 0.05) -> dict[str
         ),
         "heading_aid": Setting(True, "use the dual-antenna heading where there is one"),
         "gyro_noise": Setting(1e-3, "rad/s/sqrt(Hz), beside the data sheet's: vibration", minimum=0.0),
-        "scale_share": Setting(0.4, "of the gyro's scale error, left as noise that grows with the rate", minimum=0.0),
+        "scale_share": Setting(0.5, "of the gyro's scale error, left as noise that grows with the rate", minimum=0.0),
         "scale_time": Setting(5.0, "s, how long a rate lasts: correlation of that noise", above=0.0),
-        "accel_noise": Setting(
-            accel_noise, "m/s2/sqrt(Hz), beside the data sheet's: vibration, turbulence", minimum=0.0
-        ),
+        "accel_noise": Setting(0.05, "m/s2/sqrt(Hz), beside the data sheet's: vibration, turbulence", minimum=0.0),
         "accel_share": Setting(0.014, "1/sqrt(Hz), besides, of the acceleration: scale, lever arm", minimum=0.0),
         "jerk_share": Setting(2.0, "of the gyro's variance between samples, left as noise of one step", minimum=0.0),
         "bias_time": Setting(300.0, "s, correlation of the in-run biases", above=0.0),
-        "velocity_share": Setting(1.5, "of the receiver's velocity sigma", above=0.0),
-        "position_share": Setting(3.0, "of the receiver's position sigma, whose error is correlated", above=0.0),
-        "heading_share": Setting(10.0, "of the dual-antenna sigma, whose error is correlated", above=0.0),
-        "mag_share": Setting(6.0, "of the hard iron left over: noise of the field's direction", minimum=0.0),
-        "mag_sigma": Setting(0.02, "rad, besides, of the direction of the field", above=0.0),
+        "velocity_share": Setting(1.0, "of the receiver's velocity sigma", above=0.0),
+        "position_share": Setting(0.2, "of the receiver's position sigma, noise from fix to fix", above=0.0),
+        "position_time": Setting(60.0, "s, over which the rest of a fix's error wanders", above=0.0),
+        "gnss_time": Setting(0.02, "s, error of the time of a fix: noise while accelerating", minimum=0.0),
+        "heading_share": Setting(4.5, "of the dual-antenna sigma, whose error is correlated", above=0.0),
+        "mag_share": Setting(1.7, "of the hard iron left over: noise of the field's direction", minimum=0.0),
+        "mag_sigma": Setting(0.008, "rad, besides, of the direction of the field", above=0.0),
+        "field_period": Setting(
+            1.0, "s, from one use of the field to the next: errors between are the same", minimum=0.0
+        ),
         "norm_scale": Setting(0.05, "relative error of the field's norm that doubles the noise", above=0.0),
         "dip_scale": Setting(0.1, "rad, error of the dip that doubles the noise", above=0.0),
         "speed_sigma": Setting(1.0, "m/s, of the airspeed along the body", above=0.0),
@@ -145,6 +149,7 @@ def _ins(aiding: str, states: str = "21", accel_noise: float = 0.05) -> dict[str
         "wind_walk": Setting(0.3, "m/s per sqrt(s), random walk of the wind", minimum=0.0),
         **_adaptation(),
     }
+    return known | {name: replace(known[name], default=value) for name, value in values.items()}
 
 
 _ALIGNED = {name: setting for name, setting in _START.items() if name != "initialisation"}
@@ -274,7 +279,7 @@ _METHODS = (
     ),
     Method(
         "hand-ins", "Inertial navigator that stays where it is: hand-held, no velocity aid", _OWN,
-        "", "estimators.models.ins", _ins("none"),
+        "", "estimators.models.ins", _ins("none", mag_share=6.0, mag_sigma=0.02, field_period=0.1, scale_share=0.4),
     ),
 )  # fmt: skip
 _CATALOGUE = {method.name: method for method in _METHODS}

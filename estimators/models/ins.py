@@ -22,8 +22,9 @@ Aids (`models.base` groups):
 
 Gyro noise grows with the rate, since what scale and misalignment leave behind is correlated over a manoeuvre, and with
 what is too fast for the sampling: after a hard landing the heading is open again. Accelerometer noise grows with the
-acceleration. The magnetometer counts ten times a second, whatever its rate: its errors are of the place, not of the
-reading.
+acceleration. Most of a fix's error wanders over a minute; so does the place that is estimated, which leaves the noise
+from fix to fix to the measurement. Field and baseline count once in a while, whatever their rates: errors of theirs are
+of the attitude and of the minute, not of the reading.
 """
 
 import math
@@ -108,6 +109,7 @@ INPUTS = _VAR + MEASUREMENTS_
     _MAG_T,
     _AID_T,
     _GNSS_T,
+    _DUAL_T,
     _AIR_T,
     _PSEUDO_T,
     _STILL_T,
@@ -117,16 +119,17 @@ INPUTS = _VAR + MEASUREMENTS_
     _INFLATION,
     _SPEED,
     _JERKY,
-) = range(14)
-_LAST_W, _LAST_F, _STEP, _MEAN, _SPREAD, _RING = 14, 17, 20, 23, 29, 35
+) = range(15)
+_LAST_W, _LAST_F, _STEP, _MEAN, _SPREAD, _RING = 15, 18, 21, 24, 30, 36
 MEMORY = _RING + LENGTH
 _ANGLES = (4, 6)  # of the values of the ring: longitude, yaw
 
-MAG_TIMEOUT, AID_TIMEOUT = 1.0, 2.0  # s
+MAG_TIMEOUT, AID_TIMEOUT = 2.0, 2.0  # s
 STILL_SPEED = 0.2  # m/s
 JERKY_TIME = 0.3  # s, over which the gyro's scatter between samples is averaged
 # s: errors of these are correlated, more often says nothing new
-AIR_PERIOD, FIELD_PERIOD, PSEUDO_PERIOD, STILL_PERIOD = 0.1, 0.1, 0.1, 0.1
+AIR_PERIOD, DUAL_PERIOD, PSEUDO_PERIOD, STILL_PERIOD = 0.1, 1.0, 0.1, 0.1
+UP = 1.5  # satellites are all above: vertical errors are larger by about that
 _RUNNING, _COASTING = int(Status.RUNNING), int(Status.COASTING)
 
 
@@ -147,8 +150,11 @@ class _Parameters(NamedTuple):
     limits: np.ndarray  # (2,) rad/s, m/s2: scatter of a still second
     gyro_variance: float  # (rad/s)^2 of a sample
     gnss_velocity: float  # m/s
-    gnss_position: float  # m
+    gnss_position: float  # m, from fix to fix
+    place_walk: np.ndarray  # (3,) m2/s: the rest of a fix's error wanders, and the place with it
+    gnss_time2: float  # s2, of the time of a fix
     mag_sigma: float  # rad
+    field_period: float  # s
     norm_scale: float  # relative
     dip_scale: float  # rad
     heading_factor: float  # on the reported sigma: its error is correlated
@@ -218,7 +224,7 @@ def _process_noise(model: Any, x: np.ndarray, u: np.ndarray, dt: float, P: np.nd
     for i in range(3):
         P[PHI + i, PHI + i] += u[_PSD] * dt
         P[V + i, V + i] += u[_FORCE_PSD] * dt
-        P[P_ + i, P_ + i] += 1e-6 * dt
+        P[P_ + i, P_ + i] += model.place_walk[i] * dt
     for i in range(9, size(model)):
         P[i, i] += model.walks[i - 9] * dt
 
@@ -439,12 +445,14 @@ def _measure(
             u[_VAR + i] = u[_VAR + 3 + i] = 1.0
             used[i] = used[3 + i] = True
     told = model.use_heading == 1 and row[HEADING_NEW] != 0.0 and plausible(row[HEADING], 100.0)
+    told = told and not t - memory[_DUAL_T] < DUAL_PERIOD - 1e-6
     if told and recall(memory[_RING:], row[HEADING_T], _ANGLES, then):
+        memory[_DUAL_T] = t
         z[_Z_DUAL] = row[HEADING] + (now[6] - then[6])
         sigma = model.heading_factor * row[HEADING_SIGMA]
         u[_VAR + _Z_DUAL] = sigma * sigma
         used[_Z_DUAL] = sigma > 0.0
-    if row[MAG_NEW] != 0.0 and not t - memory[_MAG_T] < FIELD_PERIOD - 1e-6:
+    if row[MAG_NEW] != 0.0 and not t - memory[_MAG_T] < model.field_period - 1e-6:
         _measure_field(model, row, x, memory, u, z, used)
     flying = False
     if row[AIR_NEW] != 0.0 and plausible(row[AIRSPEED], MAX_SPEED):
@@ -487,8 +495,8 @@ def _measure_gnss(
         speed = row[VEL + i]
         z[i] = x[4 + i] + (speed - then[i])
         z[3 + i] = here[i] + there[i]
-        wide = 1.5 if i == 2 else 1.0
-        u[_VAR + i] = (wide * model.gnss_velocity) ** 2 + 0.0025 * acceleration2
+        wide = UP if i == 2 else 1.0
+        u[_VAR + i] = (wide * model.gnss_velocity) ** 2 + model.gnss_time2 * acceleration2
         u[_VAR + 3 + i] = (wide * model.gnss_position) ** 2
         used[i] = plausible(speed, MAX_SPEED)
         used[3 + i] = place and plausible(there[i], 1e6)
@@ -661,6 +669,7 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
     x[7:10] = place if np.isfinite(place).all() else site.lla
     x[10:13] = alignment.gyro_bias
     wind_in_velocity = settings["wind_walk"] ** 2 if use_air and not use_gnss else 0.0
+    wander = use_gnss * 2.0 * sensors.gnss_pos**2 / settings["position_time"]
     model = kind(
         groups=groups,
         gravity=float(site.gravity),
@@ -680,7 +689,10 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
         gyro_variance=max(gyro * sensors.rate, 1e-10),
         gnss_velocity=max(settings["velocity_share"] * sensors.gnss_vel, 1e-3),
         gnss_position=max(settings["position_share"] * sensors.gnss_pos, 1e-3),
+        place_walk=1e-6 + wander * np.array([1.0, 1.0, UP**2]),
+        gnss_time2=settings["gnss_time"] ** 2,
         mag_sigma=math.hypot(settings["mag_sigma"], settings["mag_share"] * sensors.mag_bias / math.hypot(*site.mag_n)),
+        field_period=settings["field_period"],
         norm_scale=settings["norm_scale"],
         dip_scale=settings["dip_scale"],
         heading_factor=settings["heading_share"],
