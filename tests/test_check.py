@@ -194,7 +194,7 @@ MARG, INS, ERROR, TILT, INS9 = (f"estimators/models/{m}.py" for m in ("marg", "i
 FAULTS: dict[str, list[tuple[str, str, str, str]]] = {  # one in each model, and who is to suffer
     "sign of a Jacobian term": [
         (MARG, "= a * dd + b * dc - c * db + d * da", "= -(a * dd + b * dc - c * db + d * da)", "marg-ekf"),
-        (INS, "F[V, PHI + 2] = force[2] * dt,", "F[V, PHI + 2] = -force[2] * dt,", "ins21"),
+        (INS, "F[V, PHI + 2] = down,", "F[V, PHI + 2] = -down,", "ins21"),
         (ERROR, "F[i, 3 + j] = -0.5 * dt * J[i, j]", "F[i, 3 + j] = 0.5 * dt * J[i, j]", "fakf"),
         (TILT, "H[i, j] = 1.0 if i == j else 0.0", "H[i, j] = (1.0 if i else -1.0) if i == j else 0.0", "sekf"),
         (INS9, "H[i, j] = 1.0 if j == 3 + i else 0.0", "H[i, j] = -1.0 if j == 3 + i else 0.0", "ins9-ekf"),
@@ -208,7 +208,7 @@ FAULTS: dict[str, list[tuple[str, str, str, str]]] = {  # one in each model, and
     ],
     "lost bias": [
         (MARG, "y[i] = x[4 + i] + x[7 + i]", "y[i] = x[4 + i]", "marg-cdkf"),
-        (INS, "scale[i] = (u[_W + i] - x[10 + i])", "scale[i] = (u[_W + i])", "air-ins"),
+        (INS, "(u[_W] - x[10]), 0.5 * dt * (u[_W + 1] - x[11]), ", "u[_W], 0.5 * dt * u[_W + 1], ", "air-ins"),
         (ERROR, "turn(x, (u[0] - x[4]) * dt, (u[1] - x[5]) * dt,", "turn(x, u[0] * dt, u[1] * dt,", "fakf"),
         (TILT, "u[i] -= memory[_BIAS + i]", "u[i] -= 0.0", "sekf"),
         (INS9, "u[i] -= model.gyro_bias[i]", "u[i] -= 0.0", "ins9-ukf"),
