@@ -67,9 +67,9 @@ NOTES = """
 
 ![Errors in the estimator's own three sigma, and NEES in its 95 % bounds](consistency.png)
 
-`ins21` and the CKF of the paper on the circuit, CHR grade: `ahrs-sim fly circuit --estimator ins21@chr --estimator ckf-chr`,
-then `ahrs-sim compare LOG --png DIR`. The CKF is told of no motion but the turn rate: it is thousands of its own sigmas
-off and does not know.
+`ins21` and the CKF of the paper on the circuit, CHR grade (`ahrs-sim fly circuit --estimator ins21@chr --estimator
+ckf-chr`, then `ahrs-sim compare LOG --png DIR`). The CKF takes every acceleration for gravity: it is a thousand of its
+own sigmas off and does not know.
 
 ## Where a goal is missed, and why
 
