@@ -19,13 +19,7 @@ def parser() -> argparse.ArgumentParser:
     fly.add_argument("--run", dest="number", type=_natural, metavar="N", help="with --from: which run")
     fly.add_argument("-o", "--output", type=Path, metavar="LOG", help="default: logs/SCENARIO-seedN.mcap")
     fly.add_argument("--seed", type=_natural, metavar="N", help="instead of the scenario's")
-    fly.add_argument(
-        "--estimator",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="only this one, or METHOD@SUITE; may be repeated",
-    )
+    _add_estimators(fly, "only this one, or METHOD@SUITE; may be repeated")
     fly.add_argument("--duration", type=_positive, metavar="S", help="end after S seconds")
     fly.add_argument("--pilot", metavar="NAME", help="fly on the attitude of this estimator, or on the truth")
     fly.add_argument("--force", action="store_true", help="replace an existing log")
@@ -37,19 +31,12 @@ def parser() -> argparse.ArgumentParser:
     again = commands.add_parser("replay", help="run estimators on a log of ours or on the bag of a real vehicle")
     again.add_argument("log", type=Path, help="a log of ours, a ROS 2 bag (mcap, db3), a PX4 .ulg or a .csv")
     again.add_argument("-o", "--output", type=Path, metavar="OUT", help="write the input's messages and the estimates")
-    again.add_argument(
-        "--estimator",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="of the log's scenario or the map, METHOD@SUITE, or METHOD for a bag; may be repeated",
-    )
+    _add_estimators(again, "of the log's scenario or the map, METHOD@SUITE, or METHOD for a bag; may be repeated")
     again.add_argument("--map", type=Path, metavar="TOML", help="what topics and axes of a bag mean (docs/replay.md)")
     again.add_argument(
         "--calibrate", action="append", default=[], choices=["mag", "gyro"], help="from the bag's own data"
     )
-    again.add_argument("--from", dest="start", type=float, metavar="T", help="errors from this time, s")
-    again.add_argument("--to", dest="end", type=float, metavar="T", help="errors up to this time, s")
+    _add_span(again, "errors ")
     again.add_argument("--align", choices=["heading", "frames"], help="take out a constant rotation first")
     again.add_argument("--sync", action="store_true", help="shift a bag's reference to the time of its gyro")
     again.add_argument("--force", action="store_true", help="replace an existing log")
@@ -61,8 +48,7 @@ def parser() -> argparse.ArgumentParser:
     compare.add_argument("--reference", metavar="NAME", help="an estimator or any orientation topic, not the truth")
     compare.add_argument("--align", choices=["heading", "frames"], help="take out a constant rotation first")
     compare.add_argument("--sync", action="store_true", help="take out a constant delay first")
-    compare.add_argument("--from", dest="start", type=float, metavar="T", help="from this time, s")
-    compare.add_argument("--to", dest="end", type=float, metavar="T", help="up to this time, s")
+    _add_span(compare)
     compare.add_argument("--lag", action="store_true", help="how late every attitude and its rate are, ms")
     compare.add_argument("--report", type=Path, metavar="HTML", help="one page with all plots, to open in a browser")
     compare.add_argument("--png", type=Path, metavar="DIR", help="the main figures")
@@ -100,6 +86,15 @@ def parser() -> argparse.ArgumentParser:
     listing.add_argument("what", choices=["scenarios", "aircraft", "grades", "estimators", "layouts"])
     listing.add_argument("--json", action="store_true")
     return made
+
+
+def _add_estimators(command: argparse.ArgumentParser, text: str) -> None:
+    command.add_argument("--estimator", action="append", default=[], metavar="NAME", help=text)
+
+
+def _add_span(command: argparse.ArgumentParser, what: str = "") -> None:
+    command.add_argument("--from", dest="start", type=float, metavar="T", help=f"{what}from this time, s")
+    command.add_argument("--to", dest="end", type=float, metavar="T", help=f"{what}up to this time, s")
 
 
 def _add_live(command: argparse.ArgumentParser) -> None:
@@ -142,7 +137,7 @@ def _add_campaign(commands: Any) -> None:
         help="uniform:A..B, normal:M,S, choice:A,B, grid:A,B or lhs:A..B of any scenario value; may be repeated",
     )
     campaign.add_argument("--seed", type=_natural, metavar="N", help="of run 0; run k has the k-th after it")
-    campaign.add_argument("--estimator", action="append", default=[], metavar="NAME", help="as for fly")
+    _add_estimators(campaign, "as for fly")
     campaign.add_argument("--duration", type=_positive, metavar="S", help="end every flight after S seconds")
     where = campaign.add_mutually_exclusive_group()
     where.add_argument("--workers", type=_count, metavar="N", help="processes (default: one per processor)")
@@ -168,8 +163,7 @@ def _add_budget(commands: Any) -> None:
     budget.add_argument("--seeds", type=_count, default=1, metavar="N", help="flights (default: one)")
     budget.add_argument("--seed", type=_natural, metavar="N", help="the first seed, instead of the scenario's")
     budget.add_argument("--duration", type=_positive, metavar="S", help="end every flight after S seconds")
-    budget.add_argument("--from", dest="start", type=float, metavar="T", help="errors from this time, s")
-    budget.add_argument("--to", dest="end", type=float, metavar="T", help="errors up to this time, s")
+    _add_span(budget, "errors ")
     budget.add_argument("--workers", type=_count, metavar="N", help="processes (default: one per processor)")
     budget.add_argument("--png", type=Path, metavar="FILE", help="draw the table as bars")
     budget.add_argument("--json", action="store_true")
