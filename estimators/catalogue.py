@@ -36,7 +36,7 @@ class Method:
     filter: str  # module:maker; empty: the setting "filter" says which
     model: str  # module with `build`
     settings: Mapping[str, Setting]
-    filter_settings: tuple[str, ...] = ()  # those that are fields of the filter's class
+    filter_settings: tuple[str, ...] = ()  # those that its maker takes
     own: bool = True  # false: of another installed package, by its entry point
     package: str = ""  # that it needs besides
 

@@ -345,6 +345,13 @@ def _residual(model: Any, group: int, z: np.ndarray, y: np.ndarray, out: np.ndar
         out[0] = wrap(out[0])
 
 
+@inner
+def _acceleration2(model: Any, x: np.ndarray, u: np.ndarray) -> float:
+    """Square of the acceleration over the ground, m2/s4."""
+    north, east, down = nav_vector(x, u[_F] - x[13], u[_F + 1] - x[14], u[_F + 2] - x[15])
+    return float(north**2 + east**2 + (down + model.gravity) ** 2)
+
+
 def _load(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray) -> None:
     t = row[T]
     good = True
@@ -366,10 +373,7 @@ def _load(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.
     for i in range(3):
         rate2 += (u[_W + i] - x[10 + i]) ** 2
     u[_PSD] = model.gyro_psd + model.rate_noise * rate2 + model.jerk_share * dt * memory[_JERKY]
-    force = np.empty(3)
-    to_nav(x, u[_F] - x[13], u[_F + 1] - x[14], u[_F + 2] - x[15], force)
-    acceleration2 = force[0] ** 2 + force[1] ** 2 + (force[2] + model.gravity) ** 2
-    u[_FORCE_PSD] = model.accel_psd + model.accel_noise2 * acceleration2
+    u[_FORCE_PSD] = model.accel_psd + model.accel_noise2 * _acceleration2(model, x, u)
     if not good:
         u[_PSD] += 0.01  # 0.1 rad/s/sqrt(Hz): whatever happens meanwhile
     if good:
@@ -485,9 +489,8 @@ def _measure_gnss(
 ) -> None:
     if not recall(memory[_RING:], row[GNSS_T], _ANGLES, then):
         return
-    force, there, here = np.empty(3), np.empty(3), np.empty(3)
-    to_nav(x, u[_F] - x[13], u[_F + 1] - x[14], u[_F + 2] - x[15], force)
-    acceleration2 = force[0] ** 2 + force[1] ** 2 + (force[2] + model.gravity) ** 2
+    there, here = np.empty(3), np.empty(3)
+    acceleration2 = _acceleration2(model, x, u)
     apart(row[LLA : LLA + 3], then[3:6], there)
     apart(x[7:10], model.origin, here)
     place = on_earth(row[LLA], row[LLA + 1], row[LLA + 2])
