@@ -14,7 +14,7 @@ from ahrs_sim.errors import AhrsSimError, FlightError, InputError
 from estimators.errors import EstimationError
 
 if TYPE_CHECKING:
-    from ahrs_sim.live import Live
+    from ahrs_sim.log.live import Live
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -42,7 +42,7 @@ def _fly(arguments: argparse.Namespace) -> int:
     if (arguments.campaign is None) != (arguments.number is None) or (arguments.campaign and arguments.scenario):
         raise InputError("fly: give a scenario, or --from DIR and --run N")
     if arguments.campaign is not None:
-        from ahrs_sim.campaign import scenario_of
+        from ahrs_sim.runs.campaign import scenario_of
 
         changed = (arguments.seed, arguments.duration, arguments.pilot)
         if arguments.estimator or any(value is not None for value in changed):
@@ -117,7 +117,7 @@ def _live(arguments: argparse.Namespace, stopped: Callable[[], bool] = lambda: F
     """The server that `--live` asks for."""
     if arguments.live is None:
         return None
-    from ahrs_sim.live import Live
+    from ahrs_sim.log.live import Live
 
     live = Live(arguments.live, arguments.rate, stopped)
     print(f"live at ws://localhost:{live.port} (Foxglove: Open connection, Foxglove WebSocket)", file=sys.stderr)
@@ -241,7 +241,7 @@ def _info(arguments: argparse.Namespace) -> None:
 
 
 def _recover(arguments: argparse.Namespace) -> None:
-    from ahrs_sim.log.recover import recover
+    from ahrs_sim.log.mcap.recover import recover
 
     result = recover(arguments.part, arguments.output, force=arguments.force)
     print(f"{arguments.output}: {result}")
@@ -257,7 +257,7 @@ def _allan(arguments: argparse.Namespace) -> None:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    from ahrs_sim import check
+    from ahrs_sim.runs import check
 
     if arguments.renew != bool(arguments.why):
         raise InputError("check: --renew and --why TEXT go together: a baseline changes for a reason")
@@ -280,8 +280,9 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _campaign(arguments: argparse.Namespace) -> int:
-    from ahrs_sim import campaign, campaign_report, runs, tuning
     from ahrs_sim import scenario as scenarios
+    from ahrs_sim.runs import campaign, campaign_report, tuning
+    from ahrs_sim.runs import pool as runs
 
     scenario = scenarios.load(
         arguments.scenario, seed=arguments.seed, duration=arguments.duration, estimators=arguments.estimator
@@ -334,8 +335,8 @@ def _worst(text: str | None, runs: int) -> int:
 
 
 def _budget(arguments: argparse.Namespace) -> None:
-    from ahrs_sim import budget
     from ahrs_sim import scenario as scenarios
+    from ahrs_sim.runs import budget
 
     scenario = scenarios.load(arguments.scenario, seed=arguments.seed, duration=arguments.duration)
     unit = "s" if arguments.seeds == 1 else "flights"
@@ -356,7 +357,8 @@ def _budget(arguments: argparse.Namespace) -> None:
 
 
 def _papers(arguments: argparse.Namespace) -> None:
-    from ahrs_sim import papers, runs
+    from ahrs_sim import papers
+    from ahrs_sim.runs import pool as runs
 
     chosen = arguments.name or papers.names()
     for name in chosen:
@@ -405,15 +407,15 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int | None]] = {
 
 def _scenarios() -> list[dict[str, Any]]:
     from ahrs_sim import scenario as scenarios
-    from ahrs_sim.data import scenario_dir
+    from ahrs_sim.scenario.shipped import scenario_dir
 
     loaded = [scenarios.load(str(path)) for path in sorted(scenario_dir().glob("*.toml"))]
     return [{"name": s.name, "title": s.data.get("title", "")} for s in loaded]
 
 
 def _aircraft() -> list[dict[str, Any]]:
-    from ahrs_sim.data import aircraft_dir
     from ahrs_sim.flight.fdm import aircraft
+    from ahrs_sim.scenario.shipped import aircraft_dir
 
     ours = aircraft_dir()
     return [{"name": n, "from": "ahrs_sim" if ours in p.parents else "JSBSim"} for n, p in aircraft().items()]

@@ -21,8 +21,8 @@ from ahrs_sim.errors import FlightError, InputError
 from ahrs_sim.flight import BLOCK_S, Flight, open_flight
 from ahrs_sim.flight.truth import Event, Truth
 from ahrs_sim.log.flight_log import Every, FlightLog
+from ahrs_sim.log.mcap.writer import Listener
 from ahrs_sim.log.topics import TRUTH_RATE
-from ahrs_sim.log.writer import Listener
 from ahrs_sim.scenario import Component, Scenario
 from ahrs_sim.sensors import Assembler, Suite, make_suite
 from ahrs_sim.sensors.faults import check_suites
@@ -64,7 +64,7 @@ def fly(
         force: replace an existing log.
         block_s: length of the blocks, s; the log does not depend on it.
         flight: the scenario's flight, if it has begun already (see `flight.ahead`).
-        live: is given every message of the log, too (see `ahrs_sim.live`).
+        live: is given every message of the log, too (see `ahrs_sim.log.live`).
         progress: called with the time reached and the expected end (None: unknown), s.
         stopped: asked after every block; true ends the flight and completes the log.
 

@@ -19,8 +19,8 @@ from ahrs_sim import scenario as scenarios
 from ahrs_sim.errors import InputError
 from ahrs_sim.log.flight_log import EstimateTopics
 from ahrs_sim.log.flight_reader import FlightReader
+from ahrs_sim.log.mcap.writer import CarriedChannel, Listener, LogWriter
 from ahrs_sim.log.topics import INSTRUMENTS, REFERENCE
-from ahrs_sim.log.writer import CarriedChannel, Listener, LogWriter
 from ahrs_sim.scenario import Component
 from ahrs_sim.sensors.assemble import Assembler
 from ahrs_sim.sensors.records import SuiteBlock
@@ -68,7 +68,7 @@ def replay(
     """Run estimators on a recording into a new log.
 
     Args:
-        path: a log of ours, or any bag (`ahrs_sim.bags.sources`).
+        path: a log of ours, or any bag (`ahrs_sim.recordings.sources`).
         output: the new log: the messages of an MCAP, else the measurements as suite `bag`, and the new estimates
             instead of those of the same name; the reference attitude of a bag as `/reference/imu`.
         estimators: only these of the log's scenario or the map, `METHOD@SUITE`, or `METHOD` for a bag; none: all of
@@ -78,7 +78,7 @@ def replay(
         sync: shift a bag's reference to the time of its gyro.
         only_estimates: carry nothing along but the truth.
         force: replace an existing log.
-        live: is given every message of the new log, too (see `ahrs_sim.live`).
+        live: is given every message of the new log, too (see `ahrs_sim.log.live`).
         progress: called with the time reached and the end, s.
 
     Returns:
@@ -99,8 +99,8 @@ def replay(
                     raise InputError(f"{path}: a log of ours needs no --map, --calibrate or --sync; leave them out")
                 _run(of_flight(log, estimators), output, prefixes, force, progress, live)
                 return []
-    from ahrs_sim.bags.mapping import SUITE
-    from ahrs_sim.bags.recording import open_bag
+    from ahrs_sim.recordings.mapping import SUITE
+    from ahrs_sim.recordings.recording import open_bag
 
     with open_bag(path, map_file=map_file, calibrate=calibrate, sync=sync, names=estimators) as bag:
         reader = getattr(bag.source, "reader", None)

@@ -22,7 +22,7 @@ def accuracy(log: str | Path) -> dict[str, dict[str, float]]:
         InputError: there is no such log, or nothing in it to compare.
     """
     from ahrs_sim.review.compare import compare
-    from ahrs_sim.runs import flat
+    from ahrs_sim.runs.pool import flat
 
     return {name: flat(values) for name, values in compare(Path(log))["estimators"].items()}
 

@@ -15,9 +15,11 @@ import tempfile
 import time
 from collections.abc import Callable
 
-from ahrs_sim import campaign, campaign_report, runs, scenario
-from ahrs_sim.campaign import Plan, Store
-from ahrs_sim.runs import Outcome, Run
+from ahrs_sim import scenario
+from ahrs_sim.runs import campaign, campaign_report
+from ahrs_sim.runs import pool as runs
+from ahrs_sim.runs.campaign import Plan, Store
+from ahrs_sim.runs.pool import Outcome, Run
 
 DURATION = 120.0
 

@@ -13,9 +13,9 @@ from pathlib import Path
 
 from flight_speed import SCENE, measured
 
-from ahrs_sim.log.container import MESSAGE_HEAD
-from ahrs_sim.log.reader import LogReader
-from ahrs_sim.log.writer import LogWriter
+from ahrs_sim.log.mcap.container import MESSAGE_HEAD
+from ahrs_sim.log.mcap.reader import LogReader
+from ahrs_sim.log.mcap.writer import LogWriter
 
 IMU = "/chr/imu/data_raw"
 ESTIMATORS = ("ins21@chr", "marg-ekf@chr")

@@ -20,8 +20,8 @@ import numpy as np
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from ahrs_sim.log.reader import LogReader
-from ahrs_sim.log.writer import LogWriter
+from ahrs_sim.log.mcap.reader import LogReader
+from ahrs_sim.log.mcap.writer import LogWriter
 
 EPOCH = 1_780_308_000_000_000_000
 BLOCK_S = 2

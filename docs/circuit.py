@@ -13,7 +13,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from ahrs_sim import metrics, pipeline, scenario
+from ahrs_sim import pipeline, scenario
+from ahrs_sim.evaluation import metrics
 from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.review import compare
 

@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ahrs_sim import metrics, pipeline, scenario
+from ahrs_sim import pipeline, scenario
 from ahrs_sim.cli import main
+from ahrs_sim.evaluation import metrics
 from ahrs_sim.log.flight_reader import FlightReader
-from ahrs_sim.log.reader import LogReader
+from ahrs_sim.log.mcap.reader import LogReader
 
 ROOT = Path(__file__).parents[1]
 

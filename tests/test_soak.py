@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import estimators
-from ahrs_sim import metrics
 from ahrs_sim import scenario as scenarios
+from ahrs_sim.evaluation import metrics
 from ahrs_sim.flight import open_flight
 from ahrs_sim.pipeline import site_of
 from ahrs_sim.replay import create

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import jsbsim
 
-from ahrs_sim.data import aircraft_dir
 from ahrs_sim.errors import InputError, nearest
+from ahrs_sim.scenario.shipped import aircraft_dir
 
 
 class _LastWords(jsbsim.FGLogger):

@@ -16,13 +16,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from ahrs_sim import seeds
 from ahrs_sim.errors import InputError
 from ahrs_sim.flight.fdm import Fdm
 from ahrs_sim.flight.manoeuvres import parse_steps
 from ahrs_sim.flight.pilot import Pilot
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
-from ahrs_sim.scenario import Gust, Scenario
+from ahrs_sim.scenario import Gust, Scenario, seeds
 from ahrs_sim.world import wgs84
 
 FT = 0.3048  # m

@@ -19,11 +19,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ahrs_sim import seeds
 from ahrs_sim.errors import InputError
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
-from ahrs_sim.scenario import Scenario, Start
-from ahrs_sim.table import Table
+from ahrs_sim.scenario import Scenario, Start, seeds
+from ahrs_sim.scenario.table import Table
 from ahrs_sim.world import wgs84
 from ahrs_sim.world.gravity import gravity_n
 from estimators.types import blank

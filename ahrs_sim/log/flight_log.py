@@ -17,8 +17,9 @@ from typing import Self, TypeVar
 
 import numpy as np
 
-from ahrs_sim import consistency, metrics
+from ahrs_sim.evaluation import consistency, metrics
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
+from ahrs_sim.log.mcap.writer import Listener, LogChannel, LogWriter
 from ahrs_sim.log.topics import (
     ATTITUDE,
     ERRORS,
@@ -42,7 +43,6 @@ from ahrs_sim.log.topics import (
     TRUTH_RATE,
     Route,
 )
-from ahrs_sim.log.writer import Listener, LogChannel, LogWriter
 from ahrs_sim.sensors.records import FixRecord, ImuRecord, MagRecord, Record
 from ahrs_sim.world import wgs84
 from estimators.types import Columns, Estimates

@@ -12,7 +12,7 @@ import numpy as np
 
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
-from ahrs_sim.log.reader import LogReader, stamps
+from ahrs_sim.log.mcap.reader import LogReader, stamps
 from ahrs_sim.log.topics import (
     EVENTS,
     HEARD,

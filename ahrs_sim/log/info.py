@@ -4,7 +4,7 @@ import datetime
 from pathlib import Path
 from typing import Any
 
-from ahrs_sim.log.reader import LogReader
+from ahrs_sim.log.mcap.reader import LogReader
 
 
 def summary(path: str | Path) -> dict[str, Any]:

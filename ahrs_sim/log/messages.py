@@ -6,7 +6,7 @@ travels in every log's schema and into `logs/README.md`.
 
 import functools
 
-from ahrs_sim.log.cdr import Definitions, parse_definitions, short_name
+from ahrs_sim.log.mcap.cdr import Definitions, parse_definitions, short_name
 
 _DEFINITIONS = """
 MSG: builtin_interfaces/Time

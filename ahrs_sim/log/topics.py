@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_sim.log.reader import quaternion, vector
-from ahrs_sim.log.writer import LogChannel, LogWriter
+from ahrs_sim.log.mcap.reader import quaternion, vector
+from ahrs_sim.log.mcap.writer import LogChannel, LogWriter
 from ahrs_sim.sensors.records import (
     AirRecord,
     FixRecord,

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 import estimators
-from ahrs_sim import metrics
 from ahrs_sim import scenario as scenarios
+from ahrs_sim.evaluation import metrics
 from ahrs_sim.flight import open_flight
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.scenario import Scenario

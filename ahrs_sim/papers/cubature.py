@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_sim import metrics
 from ahrs_sim import scenario as scenarios
+from ahrs_sim.evaluation import metrics
 from ahrs_sim.papers import Claim, Reproduction, Verdict, holds
 from ahrs_sim.papers.bench import Flown, Measured, fly, measure, rms, thinned, time_first, time_until, turned
 from ahrs_sim.papers.fuzzy import words

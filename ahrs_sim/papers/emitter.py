@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_sim import metrics, seeds
 from ahrs_sim.errors import InputError
+from ahrs_sim.evaluation import metrics
 from ahrs_sim.papers import Claim, Reproduction, Verdict, bench, holds, judge
+from ahrs_sim.scenario import seeds
 from estimators.locate import EmitterLocator, Looks
 from estimators.models.emitter import PHASE, RATE, Emitter, look, look_noise
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_sim import metrics
+from ahrs_sim.evaluation import metrics
 from ahrs_sim.papers import Claim, Reproduction, Verdict, holds, judge
 from ahrs_sim.papers.bench import Flown, Measured, fly, measure
 from ahrs_sim.papers.fuzzy import words

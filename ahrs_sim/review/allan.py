@@ -244,7 +244,7 @@ def of_log(path: Path, topics: Sequence[str] = ()) -> list[Channel]:
     Raises:
         InputError: no such log or topic, a topic of another type, or too few samples.
     """
-    from ahrs_sim.log.reader import LogReader
+    from ahrs_sim.log.mcap.reader import LogReader
 
     channels = []
     with LogReader(path) as log:

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_sim import consistency, metrics
-from ahrs_sim.bags import frames
 from ahrs_sim.errors import InputError, nearest
+from ahrs_sim.evaluation import consistency, metrics
+from ahrs_sim.evaluation.metrics import History
 from ahrs_sim.log.flight_reader import FlightReader
-from ahrs_sim.log.reader import quaternion, stamps, vector
+from ahrs_sim.log.mcap.reader import quaternion, stamps, vector
 from ahrs_sim.log.topics import REFERENCE, STATE
-from ahrs_sim.metrics import History
+from ahrs_sim.recordings import frames
 from estimators.types import Estimates
 
 TRUTH_TOPIC = "/truth/imu"
@@ -322,7 +322,7 @@ def aligned(
     """The reference without a constant delay and rotation against an estimator, and what these were."""
     if align is None and not sync:
         return against, {}
-    from ahrs_sim.review import sync as syncing
+    from ahrs_sim.evaluation import sync as syncing
 
     t, q_nb = attitude(log, f"/est/{name}/state")
     within = (t >= low) & (t <= high)

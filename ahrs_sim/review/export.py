@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from ahrs_sim import metrics
 from ahrs_sim.errors import InputError
+from ahrs_sim.evaluation import metrics
 from ahrs_sim.log.flight_reader import FlightReader
-from ahrs_sim.log.reader import LogReader, flatten, stamps
+from ahrs_sim.log.mcap.reader import LogReader, flatten, stamps
 
 if TYPE_CHECKING:
     import pandas

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ahrs_sim import consistency, metrics
 from ahrs_sim.errors import InputError
+from ahrs_sim.evaluation import consistency, metrics
 from ahrs_sim.review.traces import EstimatorTrace, FlightTraces
 
 if TYPE_CHECKING:

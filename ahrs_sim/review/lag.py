@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ahrs_sim import metrics
 from ahrs_sim.errors import InputError
+from ahrs_sim.evaluation import metrics
 from ahrs_sim.log.flight_reader import FlightReader
-from ahrs_sim.log.reader import quaternion, stamps, vector
+from ahrs_sim.log.mcap.reader import quaternion, stamps, vector
 from ahrs_sim.log.topics import REFERENCE, STATE
 from ahrs_sim.review import compare
 

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_sim import consistency, metrics
 from ahrs_sim.errors import InputError
+from ahrs_sim.evaluation import consistency, metrics
 from ahrs_sim.review import compare
 from ahrs_sim.review.traces import COARSE, EstimatorTrace, FlightTraces, finding
 from estimators.types import Status

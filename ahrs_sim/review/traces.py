@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_sim import consistency, metrics
-from ahrs_sim.bags.mapping import SUITE as BAG
 from ahrs_sim.errors import InputError
+from ahrs_sim.evaluation import consistency, metrics
 from ahrs_sim.flight.truth import Event
 from ahrs_sim.log.flight_reader import FlightReader
-from ahrs_sim.log.reader import quaternion, stamps, vector
+from ahrs_sim.log.mcap.reader import quaternion, stamps, vector
 from ahrs_sim.log.topics import INSTRUMENTS, REFERENCE
+from ahrs_sim.recordings.mapping import SUITE as BAG
 from ahrs_sim.review import compare
 from ahrs_sim.world import wgs84
 from estimators.types import Status

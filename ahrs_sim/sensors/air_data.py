@@ -19,12 +19,12 @@ import numpy as np
 
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.jit import njit
-from ahrs_sim.sensors.errors import White, gauss_markov
 from ahrs_sim.sensors.fitting import Fitting
 from ahrs_sim.sensors.grade import figure
+from ahrs_sim.sensors.noise import White, gauss_markov
 from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import AirRecord, PressureRecord, Record
-from ahrs_sim.sensors.signal import Clock, Lag, nanoseconds, pick
+from ahrs_sim.sensors.sampling import Clock, Lag, nanoseconds, pick
 
 GAS_CONSTANT = 287.05287  # J/(kg K), dry air
 SEA_LEVEL_PRESSURE = 101325.0  # Pa

@@ -20,12 +20,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ahrs_sim import seeds
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.flight.truth import Event
-from ahrs_sim.scenario import Component
+from ahrs_sim.scenario import Component, seeds
+from ahrs_sim.scenario.table import Table
 from ahrs_sim.sensors.grade import UNITS
-from ahrs_sim.table import Table
 
 CHANNELS: dict[str, tuple[str, int]] = {
     "gyro": ("rate", 3),

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ahrs_sim import seeds
+from ahrs_sim.scenario import seeds
 from ahrs_sim.sensors.faults import Channel, Faults
 from ahrs_sim.sensors.grade import FiguresT, Grade
-from ahrs_sim.sensors.signal import divider
+from ahrs_sim.sensors.sampling import divider
 
 
 @dataclass(frozen=True)

@@ -15,14 +15,14 @@ import numpy as np
 
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.jit import njit
-from ahrs_sim.sensors.errors import White, gauss_markov, rms
 from ahrs_sim.sensors.faults import Faults
 from ahrs_sim.sensors.fitting import Fitting
 from ahrs_sim.sensors.grade import figure
 from ahrs_sim.sensors.imu import Imu
+from ahrs_sim.sensors.noise import White, gauss_markov, rms
 from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import FixRecord, Record, VelocityRecord
-from ahrs_sim.sensors.signal import Clock, nanoseconds, pick
+from ahrs_sim.sensors.sampling import Clock, nanoseconds, pick
 from ahrs_sim.world import satellites
 from ahrs_sim.world.wgs84 import E2, A
 

@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ahrs_sim.errors import InputError, nearest
-from ahrs_sim.table import read_toml
+from ahrs_sim.scenario.table import read_toml
 
 STANDARD_GRAVITY = 9.80665  # m/s2 per g
 

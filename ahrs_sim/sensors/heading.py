@@ -16,13 +16,13 @@ import numpy as np
 
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.jit import njit
-from ahrs_sim.sensors.errors import White, gauss_markov
 from ahrs_sim.sensors.fitting import Fitting
 from ahrs_sim.sensors.gnss import Lock, Sky
 from ahrs_sim.sensors.grade import figure
+from ahrs_sim.sensors.noise import White, gauss_markov
 from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import HeadingRecord, Record
-from ahrs_sim.sensors.signal import Clock, nanoseconds, pick, rotation
+from ahrs_sim.sensors.sampling import Clock, nanoseconds, pick, rotation
 
 WAVELENGTH = 0.1903  # m, GPS L1
 LEAST_SATELLITES = 6

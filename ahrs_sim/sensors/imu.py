@@ -11,12 +11,12 @@ import numpy as np
 
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.jit import njit
-from ahrs_sim.sensors.errors import rms
 from ahrs_sim.sensors.fitting import Fitting
 from ahrs_sim.sensors.grade import figure
+from ahrs_sim.sensors.noise import rms
 from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import ImuErrorsRecord, ImuRecord, Record
-from ahrs_sim.sensors.signal import Clock, Lag, nanoseconds
+from ahrs_sim.sensors.sampling import Clock, Lag, nanoseconds
 from ahrs_sim.sensors.triad import GyroFigures, InertialFigures, Triad
 from ahrs_sim.sensors.vibration import MotorFigures, Vibration
 

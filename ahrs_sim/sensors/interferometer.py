@@ -16,12 +16,12 @@ import numpy as np
 
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.jit import njit
-from ahrs_sim.sensors.errors import White
 from ahrs_sim.sensors.fitting import Fitting
 from ahrs_sim.sensors.grade import figure
+from ahrs_sim.sensors.noise import White
 from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import PhaseRecord, Record
-from ahrs_sim.sensors.signal import Clock, nanoseconds, pick
+from ahrs_sim.sensors.sampling import Clock, nanoseconds, pick
 from ahrs_sim.world.wgs84 import radii
 
 LIGHT = 299792458.0  # m/s

@@ -20,6 +20,7 @@ import numpy as np
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.flight.truth import Event, Truth
 from ahrs_sim.scenario import Component
+from ahrs_sim.scenario.table import Table
 from ahrs_sim.sensors import grade as grade_files
 from ahrs_sim.sensors.air_data import AirData, AirFigures
 from ahrs_sim.sensors.faults import make_faults
@@ -31,10 +32,9 @@ from ahrs_sim.sensors.imu import Imu, ImuFigures
 from ahrs_sim.sensors.interferometer import Interferometer, PhaseFigures
 from ahrs_sim.sensors.magnetometer import MagFigures, Magnetometer
 from ahrs_sim.sensors.records import Record, SuiteBlock
-from ahrs_sim.sensors.signal import rotation
+from ahrs_sim.sensors.sampling import rotation
 from ahrs_sim.sensors.triad import GyroFigures, InertialFigures
 from ahrs_sim.sensors.vibration import MotorFigures
-from ahrs_sim.table import Table
 from estimators.types import SensorInfo
 
 SECTIONS: dict[str, Section] = {

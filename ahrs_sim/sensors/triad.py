@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ahrs_sim.jit import njit
-from ahrs_sim.sensors.errors import White, in_run_bias, rms, white_sigma
 from ahrs_sim.sensors.fitting import Fitting
 from ahrs_sim.sensors.grade import figure
-from ahrs_sim.sensors.signal import BandLimit
+from ahrs_sim.sensors.noise import White, in_run_bias, rms, white_sigma
+from ahrs_sim.sensors.sampling import BandLimit
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from flight_helpers import AIR, Flown, airborne, make, to_ned
 from ahrs_sim.errors import InputError
 from ahrs_sim.flight import open_flight
 from ahrs_sim.flight.manoeuvres import MANOEUVRES, parse_steps
-from ahrs_sim.table import Table
+from ahrs_sim.scenario.table import Table
 
 
 def steps(*tables):

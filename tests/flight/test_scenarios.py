@@ -5,8 +5,8 @@ import pytest
 from flight_helpers import Flown
 
 from ahrs_sim import scenario
-from ahrs_sim.data import scenario_dir
 from ahrs_sim.flight import open_flight
+from ahrs_sim.scenario.shipped import scenario_dir
 
 NAMES = sorted(path.stem for path in scenario_dir().glob("*.toml"))
 

@@ -6,8 +6,8 @@ import re
 import numpy as np
 import pytest
 
-from ahrs_sim.data import aircraft_dir
 from ahrs_sim.flight.fdm import Fdm
+from ahrs_sim.scenario.shipped import aircraft_dir
 
 DT = 1.0 / 400.0
 FT, DEG = 0.3048, math.pi / 180.0

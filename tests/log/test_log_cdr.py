@@ -8,7 +8,7 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ahrs_sim.log import messages
-from ahrs_sim.log.cdr import CdrError, decode, encode, message_dtype, parse_definitions
+from ahrs_sim.log.mcap.cdr import CdrError, decode, encode, message_dtype, parse_definitions
 
 STANDARD = [name for name in messages.type_names() if not name.startswith("ahrs_sim_msgs")]
 

@@ -23,13 +23,13 @@ from rosbags.highlevel import AnyReader
 from ahrs_sim.cli import main
 from ahrs_sim.errors import InputError, LogError
 from ahrs_sim.log import info, messages
-from ahrs_sim.log.cdr import encode
-from ahrs_sim.log.container import Container
 from ahrs_sim.log.flight_log import HOLD_S
 from ahrs_sim.log.flight_reader import FlightReader
-from ahrs_sim.log.reader import LogReader, stamps, vector
-from ahrs_sim.log.recover import recover
-from ahrs_sim.log.writer import LogWriter
+from ahrs_sim.log.mcap.cdr import encode
+from ahrs_sim.log.mcap.container import Container
+from ahrs_sim.log.mcap.reader import LogReader, stamps, vector
+from ahrs_sim.log.mcap.recover import recover
+from ahrs_sim.log.mcap.writer import LogWriter
 
 
 @pytest.fixture(scope="module")

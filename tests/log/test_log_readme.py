@@ -5,7 +5,7 @@ from pathlib import Path
 from log_helpers import ESTIMATORS, SUITES, MadeUpFlight
 
 from ahrs_sim.log import describe
-from ahrs_sim.log.reader import LogReader
+from ahrs_sim.log.mcap.reader import LogReader
 
 README = Path(__file__).parents[2] / "logs" / "README.md"
 

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from ahrs_sim import cli, metrics, papers
+from ahrs_sim import cli, papers
+from ahrs_sim.evaluation import metrics
 from ahrs_sim.papers import Claim, Reproduction, Verdict, bench, fuzzy, switched
 
 

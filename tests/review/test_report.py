@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ahrs_sim import cli, metrics
+from ahrs_sim import cli
 from ahrs_sim.errors import InputError
+from ahrs_sim.evaluation import metrics
 from ahrs_sim.review import compare, report
 from ahrs_sim.review.traces import FlightTraces, finding, gather
 

@@ -6,7 +6,7 @@ import pytest
 from scipy import signal
 
 from ahrs_sim.review.allan import allan_deviation, allan_table
-from ahrs_sim.sensors import errors
+from ahrs_sim.sensors import noise as errors
 
 
 def rng(seed: int = 0) -> np.random.Generator:

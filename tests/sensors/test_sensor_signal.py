@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ahrs_sim.errors import InputError
-from ahrs_sim.sensors.signal import BandLimit, Clock, Lag, divider, rotation
+from ahrs_sim.sensors.sampling import BandLimit, Clock, Lag, divider, rotation
 
 DT = 1 / 400
 

@@ -15,7 +15,7 @@ from ahrs_sim.flight.manoeuvres.base import Failure, Manoeuvre
 from ahrs_sim.flight.manoeuvres.ordinary import Climb, Descend, FigureEight, HandOver, Orbit, Set, Straight, Turn, Wait
 from ahrs_sim.flight.manoeuvres.runway import Approach, Land, Takeoff
 from ahrs_sim.flight.manoeuvres.violent import Doublet, Loop, PullUp, Roll, WindupTurn
-from ahrs_sim.table import Table
+from ahrs_sim.scenario.table import Table
 
 __all__ = ["MANOEUVRES", "Failure", "HandOver", "Manoeuvre", "parse_steps"]
 

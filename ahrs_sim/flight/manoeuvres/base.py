@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from ahrs_sim.flight.autopilot import Autopilot, State, wrap
 from ahrs_sim.flight.fdm import Fdm
-from ahrs_sim.table import Table
+from ahrs_sim.scenario.table import Table
 
 G = 9.81  # m/s2
 

@@ -7,7 +7,7 @@ import math
 from ahrs_sim.flight.autopilot import Autopilot, State, wrap
 from ahrs_sim.flight.fdm import Fdm
 from ahrs_sim.flight.manoeuvres.base import Failure, G, Manoeuvre, bank_for, optional
-from ahrs_sim.table import Table
+from ahrs_sim.scenario.table import Table
 
 ROLL_RATE = 1.0  # rad/s, with which the autopilot rolls into and out of a turn
 

@@ -6,7 +6,7 @@ import math
 
 from ahrs_sim.flight.autopilot import Autopilot, State, wrap
 from ahrs_sim.flight.manoeuvres.base import Failure, G, Manoeuvre, bank_for, clamp, optional
-from ahrs_sim.table import Table
+from ahrs_sim.scenario.table import Table
 
 
 class Takeoff(Manoeuvre):

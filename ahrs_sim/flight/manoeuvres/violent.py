@@ -6,7 +6,7 @@ import math
 
 from ahrs_sim.flight.autopilot import Autopilot, State
 from ahrs_sim.flight.manoeuvres.base import Manoeuvre, clamp
-from ahrs_sim.table import Table
+from ahrs_sim.scenario.table import Table
 
 
 class WindupTurn(Manoeuvre):

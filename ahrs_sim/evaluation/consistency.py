@@ -1,0 +1,143 @@
+"""Honesty of a filter: whether its errors and innovations have the size that its covariances say.
+
+Normalised estimation error squared (NEES) and normalised innovation squared (NIS) of a consistent filter follow a
+chi-square law with as many degrees of freedom as there are components (Bar-Shalom, Li, Kirubarajan 2001, section 5.4).
+Divided by those degrees they have mean 1: above, a filter is overconfident, below, too cautious. Innovations are white,
+so that sums over time obey the law too; estimation errors are not, so that NEES may be averaged over runs only.
+"""
+
+import numpy as np
+
+from ahrs_sim.evaluation import metrics
+
+
+def chi_square_bounds(freedom: np.ndarray | float, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper bound of a chi-square variable, each of the shape of `freedom`.
+
+    Args:
+        freedom: degrees of freedom; NaN where not positive.
+        probability: of lying between the bounds, the rest halved.
+    """
+    from scipy.special import gammaincinv  # half a second that only reports need
+
+    k = np.asarray(freedom, dtype=float)
+    tail = 0.5 * (1.0 - probability)
+    with np.errstate(invalid="ignore"):
+        half = np.where(k > 0, 0.5 * k, np.nan)
+        return 2.0 * gammaincinv(half, tail), 2.0 * gammaincinv(half, 1.0 - tail)
+
+
+def mean_bounds(freedom: int, count: np.ndarray | float, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of the mean of `count` independent chi-square values of `freedom` degrees, divided by `freedom`.
+
+    For the NEES averaged over the runs of a campaign: 1 is what a consistent filter has.
+    """
+    total = freedom * np.asarray(count, dtype=float)
+    low, high = chi_square_bounds(total, probability)
+    return low / total, high / total
+
+
+def rotation_error(q_nb: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Rotation vectors r (n, 3) rad, body axes, that turn the reference into the estimate: q_nb = q_ref (x) exp(r)."""
+    q, p = q_nb, reference
+    scalar = np.sum(p * q, axis=1)
+    vector = p[:, :1] * q[:, 1:] - q[:, :1] * p[:, 1:] - np.cross(p[:, 1:], q[:, 1:])
+    vector = np.where(scalar[:, None] < 0, -vector, vector)
+    sine = np.linalg.norm(vector, axis=1)
+    small = sine < 1e-8
+    scale = np.where(small, 2.0, 2.0 * np.arctan2(sine, np.abs(scalar)) / np.where(small, 1.0, sine))
+    return np.asarray(scale[:, None] * vector)
+
+
+def nees(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Normalised estimation error squared e' P^-1 e (n,).
+
+    Args:
+        error: (n, k).
+        covariance: (n, k, k), same units squared.
+
+    Returns:
+        NaN where a number is missing or the covariance is not positive definite.
+    """
+    result = np.full(len(error), np.nan)
+    good = np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
+    rows = np.flatnonzero(good)
+    # Leading minors instead of a Cholesky, which would refuse all rows for a single bad one.
+    definite = np.ones(len(rows), bool)
+    p = covariance[rows].astype(float)
+    for k in range(1, error.shape[1] + 1):
+        definite &= np.linalg.det(p[:, :k, :k]) > 0
+    rows, p = rows[definite], p[definite]
+    e = error[rows].astype(float)
+    result[rows] = np.einsum("ni,ni->n", e, np.linalg.solve(p, e[:, :, None])[:, :, 0])
+    return result
+
+
+def attitude_nees(q_nb: np.ndarray, att_cov: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """NEES (n,) of attitudes: three degrees of freedom; NaN without heading or covariance.
+
+    Args:
+        q_nb, reference: (n, 4).
+        att_cov: (n, 3, 3) rad2, of the small rotation in body axes.
+    """
+    return nees(rotation_error(q_nb, reference), att_cov)
+
+
+def nis(innovation: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normalised innovation squared and its degrees of freedom, (n,) each; unused components (NaN) do not count.
+
+    Args:
+        innovation: (n, m), decorrelated.
+        variance: (n, m), of its components.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = innovation.astype(float) ** 2 / variance
+    used = np.isfinite(ratio) & (variance > 0)
+    return np.where(used, ratio, 0.0).sum(axis=1), used.sum(axis=1)
+
+
+def euler_sigma(q_nb: np.ndarray, att_cov: np.ndarray) -> np.ndarray:
+    """One sigma (n, 3) rad of roll, pitch and heading from the covariance of the small rotation in body axes.
+
+    To first order; near a pitch of 90 deg roll and heading are not separate and their sigmas grow without bound.
+    """
+    roll, pitch, _ = metrics.euler(q_nb).T
+    sr, cr, cp = np.sin(roll), np.cos(roll), np.cos(pitch)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        tp, ip = np.tan(pitch), 1.0 / cp
+    zero, one = np.zeros_like(roll), np.ones_like(roll)
+    rows = [[one, sr * tp, cr * tp], [zero, cr, -sr], [zero, sr * ip, cr * ip]]
+    jacobian = np.moveaxis(np.array(rows), 2, 0)  # (n, 3, 3): Euler angles by body rotation
+    variance = np.einsum("nij,njk,nik->ni", jacobian, att_cov, jacobian)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sqrt(variance))
+
+
+def summary(
+    q_nb: np.ndarray, att_cov: np.ndarray, innovation: np.ndarray, variance: np.ndarray, reference: np.ndarray
+) -> dict[str, float]:
+    """How honest an estimator was over a flight.
+
+    Args:
+        q_nb, reference: (n, 4).
+        att_cov: (n, 3, 3) rad2.
+        innovation, variance: (n, m).
+
+    Returns:
+        `nees` and `nis`, means divided by their degrees of freedom (1: consistent); `nees_inside` and `sigma3_inside`,
+        the fractions of time inside the 95 % bounds and with every Euler angle inside +-3 sigma. NaN: not to be told.
+    """
+    value = attitude_nees(q_nb, att_cov, reference)
+    known = np.isfinite(value)
+    low, high = chi_square_bounds(3)
+    squares, freedom = nis(innovation, variance)
+    error = metrics.wrap(metrics.euler(q_nb) - metrics.euler(reference))
+    sigma = euler_sigma(q_nb, att_cov)
+    judged = np.isfinite(error).all(axis=1) & np.isfinite(sigma).all(axis=1)
+    inside = (np.abs(error[judged]) <= 3 * sigma[judged]).all(axis=1)
+    return {
+        "nees": float(value[known].mean() / 3) if known.any() else float("nan"),
+        "nees_inside": float(np.mean((value[known] >= low) & (value[known] <= high))) if known.any() else float("nan"),
+        "nis": float(squares.sum() / freedom.sum()) if freedom.any() else float("nan"),
+        "sigma3_inside": float(inside.mean()) if judged.any() else float("nan"),
+    }

@@ -1,0 +1,317 @@
+"""Messages of others into the records of a suite: FRD, NED, SI, in order of their stamps.
+
+Messages are merged by what their stamps say, not by when they came: a slow link costs a live system latency, an
+analysis nothing. Each topic is held back for `HOLD_NS`, so whatever is late by less is put in order; what comes later
+still, twice, or with a stamp of another clock is left out and counted.
+"""
+
+import dataclasses
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ahrs_sim.log.mcap.reader import stamps, vector
+from ahrs_sim.recordings import frames
+from ahrs_sim.recordings.mapping import Choice, Map
+from ahrs_sim.sensors import air_data
+from ahrs_sim.sensors.records import (
+    AirRecord,
+    AttitudeRecord,
+    FixRecord,
+    HeadingRecord,
+    ImuRecord,
+    MagRecord,
+    PressureRecord,
+    Record,
+    SuiteBlock,
+    VelocityRecord,
+)
+from estimators.types import blank
+
+HOLD_NS = 10**9
+"""How much later than the newest a message may be and still be put in its place."""
+
+OTHER_CLOCK_NS = 10 * 10**9
+"""Stamps further from the log's clock than this belong to another one."""
+
+SAME_NS = 10**7
+"""Position and velocity this close in time are of one solution."""
+
+GAP = 5.0
+"""Median intervals of the IMU from which on a pause is a gap."""
+
+_LAPSE, _EXPONENT = 0.0065, 5.255876  # K/m, standard atmosphere below 11 km
+
+
+_RECORDS: dict[str, type[Record]] = {
+    "imu": ImuRecord,
+    "mag": MagRecord,
+    "fix": FixRecord,
+    "velocity": VelocityRecord,
+    "heading": HeadingRecord,
+    "diff_pressure": PressureRecord,
+    "static_pressure": PressureRecord,
+    "air": AirRecord,
+    "reference": AttitudeRecord,
+}
+
+
+@dataclass
+class Calibration:
+    """What is taken out of the sensors, in the axes of their messages."""
+
+    hard_iron: np.ndarray  # (3,) T
+    soft_iron: np.ndarray  # (3, 3)
+    gyro_bias: np.ndarray  # (3,) rad/s
+
+
+class Converter:
+    """One pass over a recording.
+
+    Args:
+        chosen: topics by kind.
+        mapping: the user's map.
+        calibration: see there.
+        epoch_ns: zero of the records' times, ns since 1970.
+    """
+
+    def __init__(self, chosen: Mapping[str, Choice], mapping: Map, calibration: Calibration, epoch_ns: int) -> None:
+        self.chosen, self.mapping, self.calibration, self.epoch_ns = chosen, mapping, calibration, epoch_ns
+        self.counts: Counter[str] = Counter()
+        self.log_times = mapping.stamps == "log"
+        self._decided = mapping.stamps is not None
+        self._queues = {kind: _Queue(_RECORDS[kind], kind, self.counts) for kind in chosen}
+        if "diff_pressure" in chosen and "air" not in chosen:
+            self._queues["air"] = _Queue(AirRecord, "air", self.counts)
+        self._static = (np.empty(0, np.int64), np.empty(0))  # ns, Pa: static pressure so far
+        self._height = float(mapping.place.get("altitude_m", 0.0))
+        self._newest = np.iinfo(np.int64).min  # ns, latest stamp of the IMU
+
+    def records(self, blocks: Iterable[dict[str, np.ndarray]]) -> Iterator[SuiteBlock]:
+        """Blocks of records by kind, in the order of their stamps, `arrival_ns` being the stamp."""
+        for block in blocks:
+            self._take(block)
+            if block_records := self._release(self._newest - HOLD_NS):
+                yield block_records
+        if rest := self._release(np.iinfo(np.int64).max):
+            yield rest
+
+    def _release(self, until: int) -> SuiteBlock:
+        gnss = [self._queues[kind] for kind in ("fix", "velocity") if kind in self._queues]
+        cut = _before_pair(until, [queue.waiting for queue in gnss])
+        out = {kind: q.release(cut if q in gnss else until, until) for kind, q in self._queues.items()}
+        if len(gnss) == 2:
+            out["fix"], out["velocity"] = _together(out["fix"], out["velocity"])
+        return out if any(len(r) for r in out.values()) else {}
+
+    def _take(self, block: dict[str, np.ndarray]) -> None:
+        arrays = {kind: block[choice.topic.name] for kind, choice in self.chosen.items()}
+        for kind in sorted(arrays, key=lambda k: k == "diff_pressure"):  # after what it needs
+            array = arrays[kind]
+            if not len(array):
+                continue
+            ns = self._stamps(kind, array)
+            columns = getattr(self, f"_{kind}")(array, self.chosen[kind])
+            good = np.abs(ns - (array["log_time"] - self.epoch_ns)) < OTHER_CLOCK_NS + abs(self.mapping.shifts[kind])
+            self.counts[f"{kind}: stamps of another clock"] += int(np.sum(~good))
+            self._put(kind, ns, columns, good)
+            if kind == "imu" and good.any():
+                self._newest = max(self._newest, int(ns[good].max()))
+
+    def _put(self, kind: str, ns: np.ndarray, columns: dict[str, np.ndarray], good: np.ndarray) -> None:
+        made = blank(_RECORDS[kind], len(ns))
+        made.update(columns)
+        made["stamp_ns"] = made["arrival_ns"] = ns
+        self._queues[kind].add(_RECORDS[kind](**{k: v[good] for k, v in made.items()}))
+
+    def _stamps(self, kind: str, array: np.ndarray) -> np.ndarray:
+        """Times of messages (n,) ns from the epoch, shifted as the map says."""
+        header = stamps(array)
+        if not self._decided:  # by the first messages: a board without clock stamps from its boot
+            self._decided = True
+            self.log_times = abs(float(np.median(header - array["log_time"]))) > OTHER_CLOCK_NS
+        times: np.ndarray = array["log_time"] if self.log_times else header
+        return times - self.epoch_ns + self.mapping.shifts[kind]
+
+    # ------------------------------------------------------------------------------------------- by kind
+
+    def _imu(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
+        axes = self.mapping.mount @ frames.to_frd(choice.body)
+        gyro = self.mapping.gyro_unit * vector(array["angular_velocity"]) - self.calibration.gyro_bias
+        accel = self.mapping.accel_unit * vector(array["linear_acceleration"])
+        return {"gyro_b": gyro @ axes.T, "accel_b": accel @ axes.T}
+
+    def _mag(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
+        axes = self.mapping.mount @ frames.to_frd(choice.body)
+        raw = self.mapping.mag_unit * field(array)
+        return {"mag_b": (raw - self.calibration.hard_iron) @ (axes @ self.calibration.soft_iron).T}
+
+    def _fix(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
+        lla = np.column_stack([array["latitude"], array["longitude"], array["altitude"]])
+        none = (array["status"]["status"] < 0) | ((lla[:, 0] == 0.0) & (lla[:, 1] == 0.0))
+        lla[none | (np.abs(lla[:, 0]) > 90.0) | (np.abs(lla[:, 1]) > 360.0)] = np.nan
+        variance = array["position_covariance"][:, [4, 0, 8]]
+        known = (array["position_covariance_type"] > 0)[:, None] & (variance > 0)
+        heights = lla[np.isfinite(lla).all(axis=1), 2]
+        if len(heights):
+            self._height = float(heights[-1])
+        with np.errstate(invalid="ignore"):
+            return {
+                "lla_deg": lla,
+                "sigma": np.where(known, np.sqrt(variance), np.nan),
+                "fix": np.where(np.isfinite(lla[:, 0]), array["status"]["status"], -1).astype(np.int8),
+            }
+
+    def _velocity(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
+        twist = array["twist"]
+        if choice.topic.type_name.endswith("WithCovarianceStamped"):
+            twist = twist["twist"]
+        return {"vel_n": vector(twist["linear"]) @ frames.to_ned(choice.world).T}
+
+    def _heading(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
+        if choice.topic.type_name == "ahrs_sim_msgs/msg/Heading":
+            sigma = np.where(array["sigma"] > 0, array["sigma"], np.nan)
+            return {"heading": array["heading"], "sigma": sigma, "satellites": array["satellites"]}
+        q = frames.q_ned(frames.orientation(array, choice.topic.type_name), choice.body, choice.world)
+        w, x, y, z = q.T
+        return {"heading": np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))}
+
+    def _static_pressure(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
+        order = np.argsort(ns := self._stamps("static_pressure", array), kind="stable")
+        self._static = ns[order], array["fluid_pressure"][order]
+        return {"pressure": array["fluid_pressure"]}
+
+    def _diff_pressure(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
+        pressure = array["fluid_pressure"]
+        if "air" not in self.chosen:
+            ns = self._stamps("diff_pressure", array)
+            indicated, true = self._airspeed(ns, pressure)
+            self._put("air", ns, {"indicated_airspeed": indicated, "airspeed": true}, np.isfinite(true))
+        return {"pressure": pressure}
+
+    def _air(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
+        return {name: array[name] for name in ("indicated_airspeed", "airspeed")}
+
+    def _reference(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
+        q = frames.orientation(array, choice.topic.type_name)
+        return {"q_nb": frames.q_ned(q, choice.body, choice.world)}
+
+    def _airspeed(self, ns: np.ndarray, pressure: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Indicated and true airspeed (n,) m/s from differential pressure (n,) Pa.
+
+        Static pressure as measured, else that of the standard atmosphere at the height of the last fix; temperature by
+        the standard atmosphere.
+        """
+        times, values = self._static
+        if len(times):
+            static = np.interp(ns, times, values)
+        else:
+            ratio = 1.0 - _LAPSE * self._height / air_data.SEA_LEVEL_TEMPERATURE
+            static = np.full(len(ns), air_data.SEA_LEVEL_PRESSURE * ratio**_EXPONENT)
+        temperature = air_data.SEA_LEVEL_TEMPERATURE * (static / air_data.SEA_LEVEL_PRESSURE) ** (1.0 / _EXPONENT)
+        impact = np.maximum(pressure, 0.0)
+
+        def speed(p: Any, t: Any) -> np.ndarray:
+            mach2 = 5.0 * np.expm1(2.0 / 7.0 * np.log1p(impact / p))
+            root: np.ndarray = np.sqrt(1.4 * air_data.GAS_CONSTANT * t * mach2)
+            return root
+
+        return speed(air_data.SEA_LEVEL_PRESSURE, air_data.SEA_LEVEL_TEMPERATURE), speed(static, temperature)
+
+
+def field(array: np.ndarray) -> np.ndarray:
+    """Magnetic field (n, 3) as reported."""
+    return vector(array["magnetic_field"])
+
+
+class _Queue:
+    """Records of one kind until they are old enough to be put in order."""
+
+    def __init__(self, cls: type[Record], kind: str, counts: Counter[str]) -> None:
+        self._kind, self._counts = kind, counts
+        self._held: Any = cls(**blank(cls, 0))
+        self._last = np.iinfo(np.int64).min  # ns, stamp of the last released
+        self._floor = np.iinfo(np.int64).min  # ns, up to where the IMU has been released
+        self._newest = np.iinfo(np.int64).min
+        self._interval = math.nan  # ns, median of the first block
+
+    def add(self, records: Any) -> None:
+        ns = records.stamp_ns
+        if not len(ns):
+            return
+        before = np.maximum.accumulate(np.r_[self._newest, ns])[:-1]
+        self._counts[f"{self._kind}: out of order"] += int(np.sum(ns < before))
+        self._newest = max(self._newest, int(ns.max()))
+        self._held = type(records).concatenate([self._held, records]) if len(self._held) else records
+
+    @property
+    def waiting(self) -> np.ndarray:
+        """Stamps (n,) ns of what has not been released."""
+        stamps: np.ndarray = self._held.stamp_ns
+        return stamps
+
+    def release(self, until: int, imu: int) -> Any:
+        """Everything stamped up to `until`, in order; the IMU is released up to `imu`."""
+        ns = self._held.stamp_ns
+        early = ns <= until
+        taken = _picked(self._held, np.flatnonzero(early)[np.argsort(ns[early], kind="stable")])
+        self._held = _picked(self._held, np.flatnonzero(~early))
+        ns = taken.stamp_ns
+        late = ns < self._last
+        twice = (ns == np.r_[self._last, ns[:-1]]) & ~late
+        self._counts[f"{self._kind}: too late"] += int(late.sum())
+        self._counts[f"{self._kind}: duplicate"] += int(twice.sum())
+        taken = _picked(taken, np.flatnonzero(~late & ~twice))
+        ns = taken.stamp_ns
+        if len(ns):
+            self._gaps(np.diff(np.r_[self._last, ns]) if self._last > np.iinfo(np.int64).min else np.diff(ns))
+            self._last = int(ns[-1])
+        # What belongs to rows of the IMU that are gone arrives with the next.
+        taken = dataclasses.replace(taken, arrival_ns=np.maximum(taken.arrival_ns, self._floor))
+        self._floor = max(self._floor, imu) if imu < np.iinfo(np.int64).max else self._floor
+        return taken
+
+    def _gaps(self, steps: np.ndarray) -> None:
+        if self._kind != "imu" or not len(steps):
+            return
+        if math.isnan(self._interval):
+            self._interval = float(np.median(steps))
+        self._counts["imu: gaps"] += int(np.sum(steps > GAP * self._interval))
+
+
+def _picked(block: Any, rows: np.ndarray) -> Any:
+    return type(block)(*(getattr(block, f.name)[rows] for f in dataclasses.fields(block)))
+
+
+def _before_pair(until: int, stamps_ns: Iterable[np.ndarray]) -> int:
+    """The last time up to `until` that does not part a fix from its velocity."""
+    if until == np.iinfo(np.int64).max:
+        return until
+    every = np.sort(np.concatenate([*stamps_ns, np.empty(0, np.int64)]))
+    for ns in every[every <= until][::-1]:
+        if until - ns > SAME_NS:
+            break
+        until = int(ns) - 1
+    return until
+
+
+def _together(fix: Any, velocity: Any) -> tuple[Any, Any]:
+    """Fixes and velocities of one solution with one stamp, arriving at once: estimators take both as of one instant."""
+    if not len(velocity) or not len(fix):
+        return fix, velocity
+    last = len(fix) - 1
+    right = np.searchsorted(fix.stamp_ns, velocity.stamp_ns)
+    sides = np.stack([np.clip(right - 1, 0, last), np.clip(right, 0, last)])
+    off = np.abs(fix.stamp_ns[sides] - velocity.stamp_ns)
+    partner = np.where(off[0] <= off[1], sides[0], sides[1])
+    mine = np.flatnonzero(off.min(axis=0) <= SAME_NS)
+    partner = partner[mine]
+    stamp, there, here = velocity.stamp_ns.copy(), velocity.arrival_ns.copy(), fix.arrival_ns.copy()
+    stamp[mine] = fix.stamp_ns[partner]
+    there[mine] = here[partner] = np.maximum(velocity.arrival_ns[mine], fix.arrival_ns[partner])
+    fix = dataclasses.replace(fix, arrival_ns=np.maximum.accumulate(here))
+    return fix, dataclasses.replace(velocity, stamp_ns=stamp, arrival_ns=np.maximum.accumulate(there))

@@ -1,0 +1,288 @@
+"""What the topics of a recording mean: the user's map (TOML), and the choice of topics by type, name and rate.
+
+Everything in a map is optional:
+
+    [topics]                # imu, mag, fix, velocity, heading, diff_pressure, static_pressure, air, reference
+    imu = "/imu/data_raw"
+    heading = ""            # leave it out
+    [frames]
+    body = "FLU"            # or FRD; else by frame_id, else FLU (REP-103)
+    world = "ENU"           # or NED
+    reference_body = "FRD"  # where the reference differs
+    reference_world = "NED"
+    [mounting]              # the IMU against the vehicle
+    yaw_deg = 90.0
+    [magnetometer]
+    unit = "uT"
+    hard_iron = [39.2, 16.1, -39.6]                         # in that unit and in the axes of the messages
+    soft_iron = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]    # row by row: m = soft (raw - hard)
+    [imu]
+    gyro_unit = "deg/s"
+    accel_unit = "g"
+    gyro_bias = [0.0, 0.0, 0.0]     # rad/s, in the axes of the messages
+    [place]                 # else from the first fix and the recording's date
+    latitude_deg = 45.3
+    longitude_deg = -93.2
+    altitude_m = 250.0
+    declination_deg = 0.6   # instead of the World Magnetic Model's
+    [time]
+    stamps = "header"       # or "log"
+    fix_s = -0.2            # added to the stamps of a topic
+    [sensors]               # data sheet figures, SI, as in estimators.SensorInfo
+    gyro_noise = 5e-4
+    [estimator.mine]
+    method = "marg-ekf"
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ahrs_sim.errors import InputError, nearest
+from ahrs_sim.recordings import frames
+from ahrs_sim.recordings.frames import ORIENTATIONS
+from ahrs_sim.recordings.sources import UNITS, Source, Topic
+from ahrs_sim.scenario import Component
+from ahrs_sim.scenario.table import Table, read_toml
+from ahrs_sim.sensors.sampling import rotation
+from estimators.types import SensorInfo
+
+SUITE = "bag"
+"""Name of the suite that a recording becomes."""
+
+IMU = "sensor_msgs/msg/Imu"
+KINDS: dict[str, tuple[str, ...]] = {
+    "imu": (IMU,),
+    "mag": ("sensor_msgs/msg/MagneticField",),
+    "fix": ("sensor_msgs/msg/NavSatFix",),
+    "velocity": ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/TwistWithCovarianceStamped"),
+    "heading": ("ahrs_sim_msgs/msg/Heading", "geometry_msgs/msg/QuaternionStamped", IMU),
+    "diff_pressure": ("sensor_msgs/msg/FluidPressure",),
+    "static_pressure": ("sensor_msgs/msg/FluidPressure",),
+    "air": ("ahrs_sim_msgs/msg/AirData",),
+    "reference": tuple(ORIENTATIONS),
+}
+"""Message types that each kind of measurement can come as."""
+
+_LIKED = {  # words of a topic's name that speak for a kind, the best first
+    "imu": ("raw",),
+    "mag": ("mag",),
+    "fix": ("raw", "gnss", "gps"),
+    "velocity": ("raw", "gnss", "gps"),
+    "heading": ("heading",),
+    "diff_pressure": ("diff", "pitot", "dynamic"),
+    "static_pressure": ("static", "abs", "baro"),
+    "air": ("air",),
+    "reference": ("truth", "reference", "ground", "mocap", "optic", "odom"),
+}
+_DISLIKED = {"velocity": ("cmd", "setpoint", "target", "local"), "reference": ("setpoint", "target")}
+_NEEDED = {"velocity": ("gps", "gnss", "raw", "fix", "velocity"), "heading": ("heading",)}
+_STATIC = (2e4, 1.2e5)  # Pa: what static pressure can be
+
+
+@dataclass(frozen=True)
+class Map:
+    """A checked map."""
+
+    where: str
+    table: Table
+    topics: Mapping[str, str]
+    body: str | None
+    world: str | None
+    reference_body: str | None
+    reference_world: str | None
+    mount: np.ndarray  # C_bs (3, 3), sensor to vehicle, both FRD
+    mag_unit: float  # T
+    hard_iron: np.ndarray  # (3,) T, in the axes of the messages
+    soft_iron: np.ndarray  # (3, 3)
+    gyro_unit: float  # rad/s
+    accel_unit: float  # m/s2
+    gyro_bias: np.ndarray  # (3,) rad/s
+    place: Mapping[str, float]
+    stamps: str | None
+    shifts: Mapping[str, int]  # ns, by kind
+    sensors: Mapping[str, Any]
+    estimators: tuple[Component, ...]
+
+
+def load(path: Path | None) -> Map:
+    """The user's map; without a path one that says nothing.
+
+    Raises:
+        InputError: file, table and key of what is wrong.
+    """
+    table = read_toml(path) if path else Table({}, "no map")
+    topics = table.table("topics")
+    named = {kind: topics.text(kind) for kind in KINDS if topics.has(kind)}
+    topics.close()
+    axes = table.table("frames")
+    body, world = axes.choice("body", frames.BODIES, None), axes.choice("world", frames.WORLDS, None)
+    reference = (
+        axes.choice("reference_body", frames.BODIES, body),
+        axes.choice("reference_world", frames.WORLDS, world),
+    )
+    axes.close()
+    mounting = table.table("mounting")
+    mount = rotation(*(math.radians(mounting.number(f"{a}_deg", 0.0)) for a in ("roll", "pitch", "yaw")))
+    mounting.close()
+    mag = table.table("magnetometer")
+    unit = UNITS[mag.choice("unit", ["T", "uT", "nT", "G", "mG"], "T")]
+    hard = mag.vector("hard_iron", [0.0, 0.0, 0.0]) * unit
+    soft = mag.vector("soft_iron", np.eye(3).ravel().tolist(), size=9).reshape(3, 3)
+    mag.close()
+    imu = table.table("imu")
+    gyro_unit = UNITS[imu.choice("gyro_unit", ["rad/s", "deg/s"], "rad/s")]
+    accel_unit = UNITS[imu.choice("accel_unit", ["m/s2", "g", "mg"], "m/s2")]
+    gyro_bias = imu.vector("gyro_bias", [0.0, 0.0, 0.0])
+    imu.close()
+    clock = table.table("time")
+    stamps = clock.choice("stamps", ["header", "log"], None)
+    shifts = {kind: round(clock.number(f"{kind}_s", 0.0) * 1e9) for kind in KINDS}
+    clock.close()
+    table.table("csv")  # read with the file
+    mapping = Map(
+        where=table.where,
+        table=table,
+        topics=named,
+        body=body,
+        world=world,
+        reference_body=reference[0],
+        reference_world=reference[1],
+        mount=mount,
+        mag_unit=unit,
+        hard_iron=hard,
+        soft_iron=soft,
+        gyro_unit=gyro_unit,
+        accel_unit=accel_unit,
+        gyro_bias=gyro_bias,
+        place=_place(table.table("place")),
+        stamps=stamps,
+        shifts=shifts,
+        sensors=_sensors(table.table("sensors")),
+        estimators=tuple(
+            Component(name, {**t.data, "suite": SUITE}, t.where) for name, t in table.named_tables("estimator").items()
+        ),
+    )
+    table.close()
+    for component in mapping.estimators:
+        component.table().text("method")
+    return mapping
+
+
+def _place(table: Table) -> dict[str, float]:
+    limits = {"latitude_deg": 90.0, "longitude_deg": 180.0, "altitude_m": 1e5, "declination_deg": 180.0}
+    place = {k: table.number(k, minimum=-v, maximum=v) for k, v in limits.items() if table.has(k)}
+    table.close()
+    if ("latitude_deg" in place) != ("longitude_deg" in place):
+        raise table.error("latitude_deg", "a place needs latitude_deg and longitude_deg; add the other")
+    return place
+
+
+def _sensors(table: Table) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(SensorInfo):
+        if table.has(field.name):
+            values[field.name] = (
+                tuple(table.vector(field.name).tolist()) if field.name == "antenna_b" else table.number(field.name)
+            )
+    table.close()
+    return values
+
+
+# ----------------------------------------------------------------------------------------------- choosing
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A topic for a kind of measurement, and its axes."""
+
+    topic: Topic
+    body: str
+    world: str
+
+
+def choose(source: Source, mapping: Map) -> dict[str, Choice]:
+    """Topics by kind: as the map says, else by type, name and rate.
+
+    Raises:
+        InputError: no IMU, a topic of the map that is not there, or of a type that cannot be that.
+    """
+    topics = {t.name: t for t in source.topics()}
+    chosen: dict[str, Choice] = {}
+    for kind, types in KINDS.items():
+        wanted = mapping.topics.get(kind)
+        if wanted == "":
+            continue
+        if wanted is not None:
+            if wanted not in topics:
+                raise InputError(f"{mapping.where}: [topics]: {kind}: no topic '{wanted}'{nearest(wanted, topics)}")
+            if topics[wanted].type_name not in types:
+                raise InputError(
+                    f"{mapping.where}: [topics]: {kind}: {wanted} is a {topics[wanted].type_name}; "
+                    f"it must be {' or '.join(types)}"
+                )
+            candidates = [topics[wanted]]
+        else:
+            taken = [c.topic.name for k, c in chosen.items() if k != "imu"]
+            candidates = [t for t in topics.values() if t.type_name in types and t.name not in taken]
+            candidates = [t for t in candidates if not any(w in t.name.lower() for w in _DISLIKED.get(kind, ()))]
+            if kind in _NEEDED:
+                candidates = [t for t in candidates if any(w in t.name.lower() for w in _NEEDED[kind])]
+            candidates.sort(key=lambda t: (_liking(kind, t.name), -t.count))
+        for topic in candidates:
+            first = _first(source, topic.name)
+            if len(first) and (wanted is not None or _fits(kind, topic, first)):
+                body, world = frames.named(first, topic.type_name)
+                if kind == "reference":
+                    body, world = mapping.reference_body or body, mapping.reference_world or world
+                chosen[kind] = Choice(topic, mapping.body or body, mapping.world or world)
+                if kind == "reference":
+                    chosen[kind] = Choice(topic, body, world)
+                break
+    if "imu" not in chosen:
+        raise InputError(f"{source.path}: no IMU in it (no {IMU} with angular rates); name it with --map, [topics] imu")
+    return chosen
+
+
+def _liking(kind: str, name: str) -> int:
+    """Rank of a name, 0 the best."""
+    words = _LIKED[kind]
+    return next((i for i, word in enumerate(words) if word in name.lower()), len(words))
+
+
+def _first(source: Source, topic: str) -> np.ndarray:
+    for block in source.blocks([topic]):
+        if len(block[topic]):
+            return block[topic][:200]
+    return np.empty(0)
+
+
+def _fits(kind: str, topic: Topic, first: np.ndarray) -> bool:
+    """Whether the first messages are what the kind asks for."""
+    if kind == "imu":
+        told = first["angular_velocity_covariance"][:, 0] != -1.0
+        rate = np.stack([first["angular_velocity"][a] for a in "xyz"], axis=-1)
+        return bool(told.any() and np.isfinite(rate).all(axis=1).any())
+    if kind == "reference":
+        q = frames.orientation(first, topic.type_name)
+        return bool((np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.1).any())
+    if kind in ("diff_pressure", "static_pressure"):
+        static = _STATIC[0] < abs(float(np.nanmedian(first["fluid_pressure"]))) < _STATIC[1]
+        return static == (kind == "static_pressure")
+    return True
+
+
+def described(chosen: Mapping[str, Choice], duration: float) -> Sequence[str]:
+    """One line a choice, for the user."""
+    lines = []
+    for kind, choice in chosen.items():
+        rate = (choice.topic.count - 1) / duration if duration > 0 else math.nan
+        axes = {"imu": choice.body, "mag": choice.body, "velocity": choice.world}.get(kind, "")
+        axes = f"{choice.body}, {choice.world}" if kind == "reference" else axes
+        lines.append(f"{kind:16s}{choice.topic.name}  {rate:.1f} Hz  {axes}".rstrip())
+    return lines

@@ -1,0 +1,277 @@
+"""A recording of others ready for a replay: topics chosen, axes checked, calibrated, place and field known."""
+
+import dataclasses
+import datetime
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+import estimators as library
+from ahrs_sim.errors import InputError
+from ahrs_sim.recordings import frames, mapping, survey
+from ahrs_sim.recordings.convert import Calibration, Converter
+from ahrs_sim.recordings.mapping import SUITE, Choice, Map
+from ahrs_sim.recordings.sources import Source, open_source
+from ahrs_sim.scenario import Component
+from ahrs_sim.sensors.records import SuiteBlock
+from ahrs_sim.world import gravity, magnetic
+from estimators.types import SensorInfo, Site
+
+_UNKNOWN_PLACE = (math.radians(45.0), 0.0, 0.0)
+_NO_FIELD = Site(_UNKNOWN_PLACE).mag_n
+_METHODS = (("ins21", "gnss"), ("air-ins", "airspeed"), ("hand-ins", "none"))
+"""By what there is to aid them: the estimator, and the aiding of a general one in its stead."""
+
+
+@dataclass
+class Bag:
+    """A recording ready for a replay; closes as a context manager."""
+
+    source: Source
+    site: Site
+    sensors: SensorInfo
+    estimators: Sequence[Component]
+    converter: Converter
+    metadata: dict[str, str]
+    notes: list[str]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.source.close()
+
+    @property
+    def instruments(self) -> list[str]:
+        """Kinds of records that come."""
+        kinds = [*self.converter.chosen]
+        return [*kinds, "air"] if "diff_pressure" in kinds and "air" not in kinds else kinds
+
+    def blocks(self) -> Iterator[dict[str, SuiteBlock]]:
+        """Records by suite, in order; once."""
+        topics = [c.topic.name for c in self.converter.chosen.values()]
+        for block in self.converter.records(self.source.blocks(topics)):
+            yield {SUITE: block}
+
+    def counted(self) -> list[str]:
+        """What was wrong with the messages, after the last block."""
+        return [f"{what}: {n}" for what, n in sorted(self.converter.counts.items()) if n]
+
+
+def open_bag(
+    path: Path, *, map_file: Path | None, calibrate: Sequence[str] = (), sync: bool = False, names: Sequence[str] = ()
+) -> Bag:
+    """Open a recording, choose its topics, look at it once.
+
+    Args:
+        path: an MCAP, db3, CSV or ULog file.
+        map_file: the user's map.
+        calibrate: "mag": fit hard and soft iron; "gyro": take the bias of standing stretches out.
+        sync: shift the reference attitude so that it agrees with the gyro in time.
+        names: estimators: of the map, or methods of the catalogue; none: all of the map, else one that fits.
+
+    Raises:
+        InputError: the file, the map or something asked for is wrong.
+    """
+    map_ = mapping.load(map_file)
+    source = open_source(path, map_.table)
+    try:
+        return _opened(source, map_, calibrate, sync, names)
+    except BaseException:
+        source.close()
+        raise
+
+
+def _opened(source: Source, map_: Map, calibrate: Sequence[str], sync: bool, names: Sequence[str]) -> Bag:
+    path = source.path
+    chosen = mapping.choose(source, map_)
+    topics = [c.topic.name for c in chosen.values()]
+    nothing = Calibration(np.zeros(3), np.eye(3), map_.gyro_bias)
+    first = Converter(chosen, map_, nothing, source.epoch_ns)
+    seen = survey.look(_magnetometer_as_is(first, source, topics))
+    if not len(seen.t):
+        raise InputError(f"{path}: {chosen['imu'].topic.name} has no usable message; check stamps and [time] stamps")
+    notes = [*mapping.described(chosen, source.duration)]
+    if first.log_times and map_.stamps is None:
+        notes.append("header stamps are of another clock: times of the log are used ([time] stamps)")
+
+    place = _place(seen, map_)
+    model = _field(place, source.epoch_ns, map_, notes)
+    norm = float(np.linalg.norm(model)) if model is not None else None
+    calibration, kept = _calibrated(seen, map_, chosen, calibrate, norm, notes)
+    axes = map_.mount @ frames.to_frd(chosen["mag"].body if "mag" in chosen else "FLU")
+    mag_b = (seen.mag - calibration.hard_iron) @ (axes @ calibration.soft_iron).T
+    if model is None:
+        model = survey.field_at_rest(seen, mag_b)
+        if model is not None:
+            notes.append(
+                f"no position: heading is from magnetic north, field {_vector(model * 1e6)} uT from the data"
+                if not map_.place.get("declination_deg")
+                else "no position: field from the data, declination from the map"
+            )
+            model = _turned(model, map_.place.get("declination_deg"))
+    reference = chosen.get("reference")
+    suspicions = survey.suspicions(
+        seen, (chosen["imu"].body, chosen["imu"].world), (reference.body, reference.world) if reference else None, norm
+    )
+    notes += [f"check: {line}" for line in suspicions]
+    map_ = _synchronised(seen, map_, sync, notes) if reference else map_
+    lla = place or _UNKNOWN_PLACE
+    site = Site(
+        lla=lla,
+        gravity=float(gravity.normal_gravity(np.array([lla]))[0]) if place else 9.80665,
+        mag_n=_NO_FIELD if model is None else (float(model[0]), float(model[1]), float(model[2])),
+    )
+    sensors = SensorInfo(**{"rate": seen.rate, **map_.sensors})
+    components = _estimators(map_, names, chosen, str(path))
+    metadata = {"source": path.name, **{f"topic {k}": f"{c.topic.name} {c.body} {c.world}" for k, c in chosen.items()}}
+    metadata |= kept | {f"site {k}": _exact(v) for k, v in dataclasses.asdict(site).items()}
+    metadata |= {f"note {i + 1}": note for i, note in enumerate(notes)}
+    return Bag(
+        source=source,
+        site=site,
+        sensors=sensors,
+        estimators=components,
+        converter=Converter(chosen, map_, calibration, source.epoch_ns),
+        metadata=metadata,
+        notes=notes,
+    )
+
+
+def _magnetometer_as_is(converter: Converter, source: Source, topics: list[str]) -> Iterator[SuiteBlock]:
+    """Records whose magnetometer is turned back into the axes of its messages."""
+    choice = converter.chosen.get("mag")
+    axes = converter.mapping.mount @ frames.to_frd(choice.body) if choice else np.eye(3)
+    for block in converter.records(source.blocks(topics)):
+        if "mag" in block:
+            mag: Any = block["mag"]
+            block["mag"] = dataclasses.replace(mag, mag_b=mag.mag_b @ axes)
+        yield block
+
+
+def _place(seen: survey.Survey, map_: Map) -> tuple[float, float, float] | None:
+    given = map_.place
+    if "latitude_deg" in given:
+        return math.radians(given["latitude_deg"]), math.radians(given["longitude_deg"]), given.get("altitude_m", 0.0)
+    if seen.lla is None:
+        return None
+    latitude, longitude, height = (float(x) for x in seen.lla)
+    return latitude, longitude, given.get("altitude_m", height)
+
+
+def _field(place: tuple[float, float, float] | None, epoch_ns: int, map_: Map, notes: list[str]) -> np.ndarray | None:
+    """Field of the place (3,) T in NED, by the model of the date; None without a place."""
+    if place is None:
+        return None
+    date = datetime.datetime.fromtimestamp(epoch_ns / 1e9, datetime.UTC)
+    year, lla = magnetic.decimal_year(date), np.array([place])
+    near = min(max(year, magnetic.FIRST), magnetic.LAST - 0.01)
+    field = magnetic.wmm(lla, near)[0]
+    if near != year:
+        # The model says how the field changes; years away it is off by some tenths of a degree, not by degrees.
+        ends = [magnetic.wmm(lla, y)[0] for y in (magnetic.FIRST, magnetic.LAST - 0.01)]
+        years = min(max(year - near, -25.0), 25.0)
+        field = field + years * (ends[1] - ends[0]) / (magnetic.LAST - 0.01 - magnetic.FIRST)
+        notes.append(f"{date:%Y} is outside of WMM2025: field carried on by its change ([place] declination_deg)")
+    field = _turned(field, map_.place.get("declination_deg"))
+    declination = math.degrees(math.atan2(field[1], field[0]))
+    notes.append(f"field of the place {_vector(field * 1e6)} uT NED, declination {declination:.2f} deg")
+    return field
+
+
+def _turned(field: np.ndarray, declination_deg: float | None) -> np.ndarray:
+    if declination_deg is None:
+        return field
+    level, angle = math.hypot(field[0], field[1]), math.radians(declination_deg)
+    return np.array([level * math.cos(angle), level * math.sin(angle), field[2]])
+
+
+def _calibrated(
+    seen: survey.Survey,
+    map_: Map,
+    chosen: Mapping[str, Choice],
+    calibrate: Sequence[str],
+    norm: float | None,
+    notes: list[str],
+) -> tuple[Calibration, dict[str, str]]:
+    """What to take out of the sensors, and the same as texts to keep."""
+    calibration = Calibration(map_.hard_iron, map_.soft_iron, map_.gyro_bias)
+    if "mag" in calibrate:
+        axes = map_.mount @ frames.to_frd(chosen["mag"].body) if "mag" in chosen else np.eye(3)
+        fit = survey.fit_mag(seen.mag, survey.turns(seen, axes), norm)
+        if fit is None:
+            why = "no magnetometer" if "mag" not in chosen else "too little turning"
+            raise InputError(f"--calibrate mag: {why} in this recording; leave it out or give [magnetometer] in a map")
+        calibration = dataclasses.replace(calibration, hard_iron=fit.hard_iron, soft_iron=fit.soft_iron)
+        unit = map_.mag_unit
+        notes.append(
+            f"hard iron {_vector(fit.hard_iron * 1e6)} uT +- {_vector(fit.hard_sigma * 1e6)}; scatter of the norm "
+            f"{fit.before * 1e6:.2f} -> {fit.after * 1e6:.2f} uT"
+        )
+        notes.append(f"hard_iron = {_list(fit.hard_iron / unit)}; soft_iron = {_list(fit.soft_iron)}")
+    if "gyro" in calibrate:
+        found = survey.gyro_bias(seen)
+        if found is None:
+            raise InputError("--calibrate gyro: the recording never stands still for a second; leave it out")
+        bias_b, seconds = found
+        axes = map_.mount @ frames.to_frd(chosen["imu"].body)
+        calibration = dataclasses.replace(calibration, gyro_bias=map_.gyro_bias + axes.T @ bias_b)
+        notes.append(f"gyro_bias = {_list(calibration.gyro_bias)} rad/s from {seconds:.1f} s of standing")
+    kept = {
+        "hard_iron_t": _exact(calibration.hard_iron),
+        "soft_iron": _exact(calibration.soft_iron),
+        "gyro_bias_radps": _exact(calibration.gyro_bias),
+    }
+    return calibration, kept
+
+
+def _synchronised(seen: survey.Survey, map_: Map, sync: bool, notes: list[str]) -> Map:
+    delay = survey.reference_delay(seen)
+    if delay is None or abs(delay) < 5e-4:
+        return map_
+    if not sync:
+        notes.append(f"the reference is {delay:+.3f} s later than the gyro (--sync shifts it; [time] reference_s)")
+        return map_
+    notes.append(f"reference shifted by {-delay:+.3f} s to agree with the gyro")
+    shifts = {**map_.shifts, "reference": map_.shifts["reference"] - round(delay * 1e9)}
+    return dataclasses.replace(map_, shifts=shifts)
+
+
+def _estimators(map_: Map, names: Sequence[str], chosen: Mapping[str, Choice], where: str) -> tuple[Component, ...]:
+    ours = {c.name: c for c in map_.estimators}
+    if not names and ours:
+        return tuple(ours.values())
+    has = {"gnss": "velocity" in chosen, "airspeed": "air" in chosen or "diff_pressure" in chosen, "none": True}
+    if not names:
+        method, aiding = next(m for m in _METHODS if has[m[1]])
+        known = method in library.names()
+        settings = {"method": method} if known else {"method": "marg-ekf", "aiding": aiding}
+        name = settings["method"]
+        return (Component(name, {**settings, "suite": SUITE}, where),)
+    found = {}
+    for name in names:
+        method, _, suite = name.partition("@")
+        if suite not in ("", SUITE):
+            raise InputError(f"{where}: --estimator {name}: a bag is one suite, '{SUITE}'; leave @{suite} out")
+        plain = method.replace(":", "-").replace(".", "-")
+        found[plain] = ours.get(name) or Component(plain, {"method": method, "suite": SUITE}, where)
+    return tuple(found.values())
+
+
+def _vector(values: np.ndarray) -> str:
+    return "(" + " ".join(f"{x:.1f}" if abs(x) >= 9.95 else f"{x:.2f}" for x in values) + ")"
+
+
+def _list(values: np.ndarray) -> str:
+    return "[" + ", ".join(f"{x:.6g}" for x in values.ravel()) + "]"
+
+
+def _exact(values: object) -> str:
+    return " ".join(repr(float(x)) for x in np.ravel(np.asarray(values)))

@@ -1,0 +1,181 @@
+"""`ahrs-sim campaign --tune`: settings of an estimator that minimise an error over a small campaign.
+
+The search sees the runs 0 to N-1; the verdict comes from N others that it has never seen, each flown with the settings
+as they were and as they are now, and is the mean difference with its bootstrap interval.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ahrs_sim.errors import CheckError, InputError, nearest
+from ahrs_sim.evaluation.bootstrap import interval
+from ahrs_sim.runs import pool as flights
+from ahrs_sim.runs.campaign import Plan, put, span
+from ahrs_sim.runs.pool import Pool
+from ahrs_sim.scenario import Scenario
+
+DECADE = 10.0
+"""A span over more than this factor is searched in its logarithm."""
+
+
+@dataclass(frozen=True)
+class Knob:
+    """One `--tune ESTIMATOR.SETTING=LOW..HIGH`."""
+
+    estimator: str
+    setting: str
+    low: float
+    high: float
+
+    @classmethod
+    def read(cls, text: str, scenario: Scenario) -> "Knob":
+        """From `ckf-chr.accel_sigma=0.5..5`.
+
+        Raises:
+            InputError: it is not of that form, or the scenario has no such estimator.
+        """
+        key, _, limits = text.partition("=")
+        estimator, _, setting = key.rpartition(".")
+        known = [e.name for e in scenario.estimators]
+        if not (estimator and setting):
+            raise InputError(f"--tune {text}: write ESTIMATOR.SETTING=LOW..HIGH")
+        if estimator not in known:
+            raise InputError(f"--tune {text}: no estimator '{estimator}' in {scenario.name}{nearest(estimator, known)}")
+        return cls(estimator, setting, *span(limits, f"--tune {text}"))
+
+    def value(self, x: float) -> float:
+        """The setting at `x` in [0, 1]."""
+        x = min(1.0, max(0.0, x))
+        if self.low > 0 and self.high / self.low > DECADE:
+            return self.low * math.exp(x * math.log(self.high / self.low))
+        return self.low + x * (self.high - self.low)
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What a search has found."""
+
+    settings: dict[str, float]  # by ESTIMATOR.SETTING
+    metric: str
+    before: float  # mean over the held-out runs
+    after: float
+    gain: float  # mean of the paired differences, positive is better
+    low: float  # its 95 % bootstrap interval
+    high: float
+    flights: int
+    runs: int
+
+    def text(self) -> str:
+        """For a reader."""
+        lines = [f"{key} = {value:.6g}" for key, value in self.settings.items()]
+        verdict = "better" if self.low > 0 else "worse" if self.high < 0 else "no difference that can be told"
+        lines.append(
+            f"{self.metric}, {self.runs} held-out runs: {self.before:.4g} -> {self.after:.4g}, gain {self.gain:.4g} "
+            f"(95 %: {self.low:.4g} to {self.high:.4g}): {verdict}; {self.flights} flights"
+        )
+        return "\n".join(lines)
+
+
+def tune(
+    plan: Plan,
+    knobs: Sequence[Knob],
+    metric: str,
+    pool: Pool,
+    *,
+    evaluations: int = 30,
+    progress: Callable[[int, int], None] = lambda done, all_: None,
+) -> Tuned:
+    """Search for the best settings.
+
+    Args:
+        plan: its runs are what is flown for each trial, and as many after them for the verdict.
+        knobs: what to turn, all of one estimator.
+        metric: mean over the runs of this figure is minimised.
+        pool: the workers.
+        evaluations: trials at most.
+        progress: called with the trials done and the most there can be.
+
+    Raises:
+        InputError: knobs of different estimators, an unknown figure, settings that cannot be flown.
+        CheckError: the estimator has no finite figure at the settings it has.
+    """
+    from scipy import optimize
+
+    estimator = knobs[0].estimator
+    if any(k.estimator != estimator for k in knobs):
+        raise InputError("--tune: the settings belong to different estimators; tune one at a time")
+    if any(v.split("=")[1].startswith("lhs") for v in plan.vary):
+        raise InputError("--tune: a Latin hypercube has no held-out runs; use uniform")
+    count = plan.runs
+    flown = 0
+
+    def fly(numbers: range, x: np.ndarray | None) -> np.ndarray:
+        nonlocal flown
+        settings = {} if x is None else {k.setting: k.value(float(v)) for k, v in zip(knobs, x, strict=True)}
+        todo = []
+        for number in numbers:
+            run = plan.run(number)
+            data: dict[str, Any] = {**run.data, "estimator": {estimator: dict(run.data["estimator"][estimator])}}
+            for name, value in settings.items():
+                put(data, f"estimator.{estimator}.{name}", value)
+            todo.append(flights.Run(number - numbers.start, run.name, run.where, data))
+        if not flown:
+            flights.warm_up(pool, todo[:1])
+        values = np.full(len(numbers), np.nan)
+        for outcome in flights.fly_all(pool, todo):
+            if outcome.bad_input:
+                raise InputError(str(outcome.error))
+            figures = outcome.figures.get(estimator, {})
+            if figures and metric not in figures:
+                raise InputError(f"--metric {metric}: no such figure{nearest(metric, figures)}")
+            values[outcome.key] = figures.get(metric, math.nan)
+        flown += len(numbers)
+        return values
+
+    trials: dict[tuple[float, ...], float] = {}
+
+    def cost(x: np.ndarray) -> float:
+        x = np.clip(np.atleast_1d(np.asarray(x, float)), 0.0, 1.0)
+        if (key := tuple(x)) not in trials:
+            values = fly(range(count), x)
+            # A run that fails is as bad as an attitude can be: the search must not prefer settings that crash.
+            trials[key] = float(np.where(np.isfinite(values), values, 180.0).mean())
+            progress(len(trials), evaluations)
+        return trials[key]
+
+    if len(knobs) == 1:
+        optimize.minimize_scalar(
+            lambda x: cost(np.array([x])), bounds=(0.0, 1.0), method="bounded",
+            options={"maxiter": evaluations, "xatol": 0.01},
+        )  # fmt: skip
+    else:
+        n = len(knobs)
+        simplex = np.full((n + 1, n), 0.35)
+        simplex[np.arange(n) + 1, np.arange(n)] = 0.75
+        optimize.minimize(
+            cost, simplex[0], method="Nelder-Mead", bounds=[(0.0, 1.0)] * n,
+            options={"maxfev": evaluations, "initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-4},
+        )  # fmt: skip
+    best = np.array(min(trials, key=lambda key: trials[key]))
+    held_out = range(count, 2 * count)
+    before, after = fly(held_out, None), fly(held_out, best)
+    both = np.isfinite(before) & np.isfinite(after)
+    if not both.any():
+        raise CheckError(f"--tune: {estimator} has no {metric} in any held-out run")
+    gain = before[both] - after[both]
+    low, high = interval(gain)
+    return Tuned(
+        settings={f"{estimator}.{k.setting}": k.value(float(v)) for k, v in zip(knobs, best, strict=True)},
+        metric=metric,
+        before=float(before[both].mean()),
+        after=float(after[both].mean()),
+        gain=float(gain.mean()),
+        low=low,
+        high=high,
+        flights=flown,
+        runs=int(both.sum()),
+    )

@@ -1,0 +1,252 @@
+"""Regression checks: what counts as worse, what the baseline keeps, and that planted faults are caught."""
+
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from ahrs_sim.cli import main
+from ahrs_sim.errors import CheckError, InputError
+from ahrs_sim.runs import check
+from ahrs_sim.runs.check import Found
+from ahrs_sim.scenario import load
+from ahrs_sim.scenario.shipped import scenario_dir
+
+ROOT = Path(__file__).parents[2]
+
+SUITE = """
+[estimator.ekf]
+method = "marg-ekf"
+suite = "chr"
+[estimator.ckf]
+method = "marg-ckf"
+suite = "chr"
+[[flight]]
+scenario = "sway"
+duration_s = 24.0
+seeds = [1, 2, 3]
+"""
+
+Values = dict[str, list[float]]
+
+
+@pytest.fixture
+def suite(tmp_path: Path) -> check.Suite:
+    """A suite of one short flight with a baseline that says 1 deg, and 2 deg of heading."""
+    path = tmp_path / "mine.toml"
+    path.write_text(SUITE)
+    loaded = check.load(str(path))
+    check.renew(loaded, found(), "first")
+    return loaded
+
+
+def found(change: Callable[[Values], object] = lambda values: None) -> Found:
+    values: Values = {
+        "all.availability": [0.9, 0.9, 0.9],
+        "all.tilt": [1.0, 1.1, 0.9],
+        "all.heading": [2.0, 2.0, 2.0],
+        "straight.tilt": [1.0, math.nan, math.nan],
+    }
+    other = {name: list(numbers) for name, numbers in values.items()}
+    change(other)
+    return Found({"sway": {"ekf": other, "ckf": dict(values)}}, {})
+
+
+def verdicts(suite: check.Suite, change: Callable[[Values], object]) -> dict[str, str]:
+    result = check.judge(suite, found(change))
+    return {row.figure: row.verdict for row in result.rows if row.estimator == "ekf"} | {"passed": str(result.passed)}
+
+
+def test_nothing_has_changed(suite: check.Suite) -> None:
+    assert set(verdicts(suite, lambda v: None).values()) == {"same", "True"}
+
+
+@pytest.mark.parametrize(
+    ("name", "now", "verdict"),
+    [
+        ("all.tilt", [1.2, 1.3, 1.1], "worse"),
+        ("all.tilt", [0.8, 0.9, 0.7], "better"),
+        ("all.tilt", [1.04, 1.14, 0.94], "same"),  # all worse, but within 0.05 deg
+        ("all.tilt", [1.9, 1.0, 0.85], "same"),  # larger, but one seed only
+        ("all.heading", [2.09, 2.09, 2.09], "same"),
+        ("all.heading", [2.2, 2.2, 2.2], "worse"),
+        ("all.availability", [0.8, 0.8, 0.8], "worse"),
+        ("all.availability", [0.95, 0.95, 0.95], "better"),
+        ("all.tilt", [1.0, math.nan, 0.9], "worse"),  # one seed has no figure any more
+        ("all.tilt", [math.nan] * 3, "gone"),
+        ("straight.tilt", [1.5, math.nan, math.nan], "worse"),
+        ("turning.tilt", [1.0, 1.0, 1.0], "new"),
+    ],
+)
+def test_verdicts(suite: check.Suite, name: str, now: list[float], verdict: str) -> None:
+    result = verdicts(suite, lambda v: v.update({name: now}))
+    assert result[name] == verdict
+    assert result["passed"] == str(verdict not in ("worse", "gone"))
+    assert {v for k, v in result.items() if k not in (name, "passed")} == {"same"}
+
+
+def test_an_estimator_that_is_gone_and_a_flight_that_failed(suite: check.Suite) -> None:
+    less = found()
+    del less.figures["sway"]["ckf"]
+    result = check.judge(suite, less)
+    assert not result.passed
+    assert {r.verdict for r in result.rows if r.estimator == "ckf"} == {"gone"}
+    failed = check.judge(suite, Found(found().figures, {"sway, seed 2": "crash"}))
+    assert not failed.passed
+    assert "crash" in check.table(failed)
+    with pytest.raises(CheckError, match="not renewed: sway, seed 2: crash"):
+        check.renew(suite, Found(found().figures, {"sway, seed 2": "crash"}), "no")
+
+
+def test_renewal_keeps_the_history(suite: check.Suite) -> None:
+    check.renew(suite, found(lambda v: v.update({"all.tilt": [0.5, 0.5, 0.5]})), "a better filter")
+    kept = json.loads(suite.baseline.read_text())
+    assert [h["why"] for h in kept["history"]] == ["first", "a better filter"]
+    assert kept["flights"]["sway"]["estimators"]["ekf"]["all.tilt"] == [0.5, 0.5, 0.5]
+    assert kept["flights"]["sway"]["estimators"]["ekf"]["straight.tilt"] == [1.0, None, None]
+    assert '"all.tilt": [0.5, 0.5, 0.5],\n' in suite.baseline.read_text(), "a line per figure"
+
+
+def test_forms_of_the_result(suite: check.Suite) -> None:
+    result = check.judge(suite, found(lambda v: v.update({"all.tilt": [2.0, 2.1, 1.9]})))
+    text, comment = check.table(result), check.markdown(result)
+    assert "FAILED" in text
+    assert "+1.000" in text
+    assert "**worse**" in comment
+    data = json.loads(json.dumps(check.as_json(result), allow_nan=False))
+    assert not data["passed"]
+    (row,) = [r for r in data["rows"] if r["verdict"] == "worse"]
+    assert row["change"] == pytest.approx(1.0)
+    xml = ElementTree.fromstring(check.junit(result))
+    assert (xml.get("tests"), xml.get("failures")) == ("2", "1")
+    (failure,) = xml.iter("failure")
+    assert "all.tilt" in str(failure.text)
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("", "flight: missing"),
+        ('[[flight]]\nscenario = "sway"\nseed = [1]\n', "did you mean 'seeds'"),
+        ('[[flight]]\nscenario = "swya"\n', "did you mean 'sway'"),
+        ('[[flight]]\nscenario = "sway"\nseeds = []\n', "seeds"),
+        ('[[flight]]\nscenario = "sway"\nseeds = [1, 1]\n', "twice"),
+        ('[[flight]]\nscenario = "sway"\n' * 2, "twice"),
+        ('[tolerance]\nrelativ = 0.1\n[[flight]]\nscenario = "sway"\n', "did you mean 'relative'"),
+        ('[[flight]]\nscenario = "sway"\nestimators = ["x"]\n', "estimator"),
+    ],
+)
+def test_bad_suites(tmp_path: Path, text: str, word: str) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=word):
+        check.load(str(path))
+
+
+def test_bad_baselines(suite: check.Suite) -> None:
+    for content in ("", "{}", "[1", '{"flights": 3, "history": []}'):
+        suite.baseline.write_text(content)
+        with pytest.raises(InputError, match="not a baseline"):
+            check.judge(suite, found())
+    suite.baseline.unlink()
+    with pytest.raises(InputError, match="--renew --why"):
+        check.judge(suite, found())
+
+
+def test_the_command_flies_renews_and_passes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, report = tmp_path / "mine.toml", tmp_path / "junit.xml"
+    path.write_text(SUITE)
+    assert main(["check", str(path), "--renew"]) == 2
+    assert "--why" in capsys.readouterr().err
+    assert main(["check", str(path), "--renew", "--why", "first", "--workers", "1"]) == 0
+    capsys.readouterr()
+    assert main(["check", str(path), "--json", "--junit", str(report), "--workers", "1"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["passed"]
+    assert {r["verdict"] for r in result["rows"]} == {"same"}
+    assert ElementTree.parse(report).getroot().get("failures") == "0"
+
+
+def test_the_standard_suite_has_every_scenario_and_method() -> None:
+    import estimators
+
+    suite = check.load()
+    shipped = [load(str(p)) for p in scenario_dir().glob("*.toml")]
+    fed = {s.name for s in shipped if s.estimators and "chr" in s.data["suite"] and s.pilot_attitude == "truth"}
+    assert {f.run.name for f in suite.flights} >= fed
+    for flight in suite.flights:
+        if "chr" not in flight.run.data["suite"]:
+            continue
+        flown = {e["method"] for e in flight.run.data["estimator"].values()}
+        assert flown >= {m.name for m in estimators.describe() if m.own}
+
+
+# ----------------------------------------------------------------------------------------------- planted faults
+
+MARG, INS, ERROR, TILT, INS9 = (f"estimators/models/{m}.py" for m in ("marg", "ins", "attitude_error", "tilt", "ins9"))
+FAULTS: dict[str, list[tuple[str, str, str, str]]] = {  # one in each model, and who is to suffer
+    "sign of a Jacobian term": [
+        (MARG, "= a * dd + b * dc - c * db + d * da", "= -(a * dd + b * dc - c * db + d * da)", "marg-ekf"),
+        (INS, "F[V, PHI + 2] = down,", "F[V, PHI + 2] = -down,", "ins21"),
+        (ERROR, "F[i, 3 + j] = -0.5 * dt * J[i, j]", "F[i, 3 + j] = 0.5 * dt * J[i, j]", "fakf"),
+        (TILT, "H[i, j] = 1.0 if i == j else 0.0", "H[i, j] = (1.0 if i else -1.0) if i == j else 0.0", "sekf"),
+        (INS9, "H[i, j] = 1.0 if j == 3 + i else 0.0", "H[i, j] = -1.0 if j == 3 + i else 0.0", "ins9-ekf"),
+    ],
+    "noise 3 x off": [
+        (MARG, '["accel_sigma"] ** 2 * np.eye(3)', '["accel_sigma"] ** 2 * 9.0 * np.eye(3)', "marg-ckf"),
+        (INS, 'max(settings["velocity_share"]', 'max(3.0 * settings["velocity_share"]', "ins21"),
+        (ERROR, "gyro_psd=0.5 * max(", "gyro_psd=4.5 * max(", "fakf"),
+        (TILT, 'settings["accel_sigma"] ** 2,', 'settings["accel_sigma"] ** 2 * 9.0,', "sekf"),
+        (INS9, '(settings["velocity_share"]', '(3.0 * settings["velocity_share"]', "ins9-ekf"),
+    ],
+    "lost bias": [
+        (MARG, "y[i] = x[4 + i] + x[7 + i]", "y[i] = x[4 + i]", "marg-cdkf"),
+        (INS, "(u[_W] - x[10]), 0.5 * dt * (u[_W + 1] - x[11]), ", "u[_W], 0.5 * dt * u[_W + 1], ", "air-ins"),
+        (ERROR, "turn(x, (u[0] - x[4]) * dt, (u[1] - x[5]) * dt,", "turn(x, u[0] * dt, u[1] * dt,", "fakf"),
+        (TILT, "u[i] -= memory[_BIAS + i]", "u[i] -= 0.0", "sekf"),
+        (INS9, "u[i] -= model.gyro_bias[i]", "u[i] -= 0.0", "ins9-ukf"),
+    ],
+}
+
+
+def _run(folder: Path, suite: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "ahrs_sim.cli", "check", str(suite), *arguments]
+    env = {**os.environ, "PYTHONPATH": str(folder), **environment}
+    # `-m` looks into the working folder first
+    return subprocess.run(command, capture_output=True, text=True, check=False, env=env, cwd=folder)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_planted_fault_is_caught(tmp_path: Path, fault: str) -> None:
+    suite = tmp_path / "suite.toml"
+    text = '[[flight]]\nscenario = "turns"\nduration_s = 140.0\nseeds = [1, 2, 3]\n'
+    for *_, method in FAULTS[fault]:
+        text += f'[estimator.{method}]\nmethod = "{method}"\nsuite = "chr"\n'
+        text += 'aiding = "airspeed"\n' if method.startswith("marg") else ""
+    suite.write_text(text)
+    done = _run(ROOT, suite, "--renew", "--why", "the sources as they are")
+    assert done.returncode == 0, done.stderr
+
+    planted = tmp_path / "planted"
+    for package in ("ahrs_sim", "estimators"):
+        shutil.copytree(ROOT / package, planted / package, ignore=shutil.ignore_patterns("__pycache__"))
+    for data in ("aircraft", "scenarios"):
+        (planted / data).symlink_to(ROOT / data)
+    for file, good, bad, _ in FAULTS[fault]:
+        source = (planted / file).read_text()
+        assert source.count(good) == 1, f"{file} has changed: plant '{fault}' elsewhere"
+        (planted / file).write_text(source.replace(good, bad))
+    done = _run(planted, suite, "--json", NUMBA_OPT="1")  # compiled once and used for minutes only
+    assert done.returncode == 1, done.stdout + done.stderr
+    rows = json.loads(done.stdout)["rows"]
+    caught = {r["estimator"] for r in rows if r["verdict"] in ("worse", "gone")}
+    missed = {method for *_, method in FAULTS[fault]} - caught
+    assert not missed, [(r["estimator"], r["figure"], r["before"], r["now"]) for r in rows if r["estimator"] in missed]
