@@ -68,7 +68,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         scene, log = Path(folder) / "scene.toml", Path(folder) / "log.mcap"
         scene.write_text(SCENE.format(seconds=options.seconds))
-        command = [sys.executable, "-m", "ahrs_sim.cli"]
+        command = [sys.executable, "-m", "ahrs_sim"]
         fly = [*command, "fly", str(scene), "-o", str(log), "--force"]
         if options.cold:
             cold, _, _ = measured([*command, "fly", "circuit", "-o", str(log), "--force"], NUMBA_CACHE_DIR=folder)

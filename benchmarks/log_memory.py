@@ -56,7 +56,7 @@ def main() -> None:
     parser.add_argument("--gigabytes", type=float, default=2.0)
     parser.add_argument("--folder", type=Path, help="keep the logs there, and use them when they are there")
     options = parser.parse_args()
-    command = [sys.executable, "-m", "ahrs_sim.cli"]
+    command = [sys.executable, "-m", "ahrs_sim"]
     chosen = [word for name in ESTIMATORS for word in ("--estimator", name)]
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.folder or Path(scratch)

@@ -25,7 +25,7 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=5)
     parser.add_argument("--memory", action="store_true")
     options = parser.parse_args()
-    command = [sys.executable, "-m", "ahrs_sim.cli"]
+    command = [sys.executable, "-m", "ahrs_sim"]
     chosen = [word for name in ESTIMATORS for word in ("--estimator", name)]
     with tempfile.TemporaryDirectory() as folder:
         scene, log, kept = (Path(folder) / name for name in ("scene.toml", "log.mcap", "kept.mcap"))

@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[1]
 
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     """The command in a process of its own."""
-    command = [sys.executable, "-m", "ahrs_sim.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "ahrs_sim", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
@@ -128,7 +128,7 @@ def test_compare_with_the_papers_reference(circuit: Path) -> None:
 def test_kill_and_recover(tmp_path: Path) -> None:
     log, part, back = tmp_path / "k.mcap", tmp_path / "k.mcap.part", tmp_path / "back.mcap"
     process = subprocess.Popen(
-        [sys.executable, "-m", "ahrs_sim.cli", "fly", "circuit", "-o", str(log)], stdout=subprocess.DEVNULL
+        [sys.executable, "-m", "ahrs_sim", "fly", "circuit", "-o", str(log)], stdout=subprocess.DEVNULL
     )
     deadline = time.monotonic() + 120
     while not (part.exists() and part.stat().st_size > 3e6) and time.monotonic() < deadline:
@@ -153,7 +153,7 @@ def test_kill_and_recover(tmp_path: Path) -> None:
 def test_interrupt_closes_the_log(tmp_path: Path) -> None:
     log, part = tmp_path / "i.mcap", tmp_path / "i.mcap.part"
     process = subprocess.Popen(
-        [sys.executable, "-m", "ahrs_sim.cli", "fly", "circuit", "-o", str(log)],
+        [sys.executable, "-m", "ahrs_sim", "fly", "circuit", "-o", str(log)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

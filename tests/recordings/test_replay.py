@@ -235,7 +235,7 @@ def test_the_guide_describes_every_table_of_a_map() -> None:
 
 def figures(path: Path, *arguments: str) -> dict[str, Any]:
     """Errors of the one estimator, as the command line gives them."""
-    command = [sys.executable, "-m", "ahrs_sim.cli", "replay", str(path), "--json", *arguments]
+    command = [sys.executable, "-m", "ahrs_sim", "replay", str(path), "--json", *arguments]
     out = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     values: dict[str, Any] = next(iter(json.loads(out)["estimators"].values()))
     return values

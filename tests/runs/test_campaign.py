@@ -264,7 +264,7 @@ def test_tuning_finds_the_better_setting(short: Path, capsys: pytest.CaptureFixt
 @pytest.mark.long
 def test_killed_campaign_goes_on_to_exactly_n_runs(short: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "ahrs_sim.cli", "campaign", str(short), "--runs", "400", "-o", str(out), "--quiet"]
+    command = [sys.executable, "-m", "ahrs_sim", "campaign", str(short), "--runs", "400", "-o", str(out), "--quiet"]
     process = subprocess.Popen(command, start_new_session=True)
     deadline = time.monotonic() + 100
     while len(list(out.glob("runs-*.parquet"))) < 2 and time.monotonic() < deadline:

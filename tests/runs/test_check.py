@@ -217,7 +217,7 @@ FAULTS: dict[str, list[tuple[str, str, str, str]]] = {  # one in each model, and
 
 
 def _run(folder: Path, suite: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "ahrs_sim.cli", "check", str(suite), *arguments]
+    command = [sys.executable, "-m", "ahrs_sim", "check", str(suite), *arguments]
     env = {**os.environ, "PYTHONPATH": str(folder), **environment}
     # `-m` looks into the working folder first
     return subprocess.run(command, capture_output=True, text=True, check=False, env=env, cwd=folder)

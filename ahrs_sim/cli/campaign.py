@@ -1,0 +1,97 @@
+"""`ahrs-sim campaign`: many flights with varied seeds and values."""
+
+import argparse
+import json
+from pathlib import Path
+
+from ahrs_sim.cli.common import Commands, Progress, add_estimators, count, natural, positive
+from ahrs_sim.errors import InputError
+
+
+def add_parser(commands: Commands) -> argparse.ArgumentParser:
+    """Add the command and its options."""
+    command = commands.add_parser("campaign", help="many flights with varied seeds and values; statistics of them")
+    command.add_argument("scenario", help="a TOML file, or the name of a shipped scenario")
+    command.add_argument("--runs", type=count, required=True, metavar="N")
+    command.add_argument("-o", "--output", metavar="DIR", help="a folder or an fsspec address; needed but for --tune")
+    command.add_argument(
+        "--vary",
+        action="append",
+        default=[],
+        metavar="KEY=DIST",
+        help="uniform:A..B, normal:M,S, choice:A,B, grid:A,B or lhs:A..B of any scenario value; may be repeated",
+    )
+    command.add_argument("--seed", type=natural, metavar="N", help="of run 0; run k has the k-th after it")
+    add_estimators(command, "as for fly")
+    command.add_argument("--duration", type=positive, metavar="S", help="end every flight after S seconds")
+    where = command.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=count, metavar="N", help="processes (default: one per processor)")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster, e.g. tcp://head:8786")
+    command.add_argument("--keep-logs", metavar="worst:N", help="logs of the N worst runs, or all")
+    command.add_argument("--metric", default="tilt_rmse_deg", metavar="FIGURE", help="what makes a run bad")
+    command.add_argument(
+        "--tune",
+        action="append",
+        default=[],
+        metavar="EST.SETTING=A..B",
+        help="minimise the metric; verdict on N further seeds; may be repeated",
+    )
+    command.add_argument("--json", action="store_true")
+    command.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    return command
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly a campaign and write its report, or tune settings of estimators; returns 1 when every run failed."""
+    from ahrs_sim import scenario as scenarios
+    from ahrs_sim.runs import campaign, campaign_report, tuning
+    from ahrs_sim.runs import pool as pools
+
+    scenario = scenarios.load(
+        arguments.scenario, seed=arguments.seed, duration=arguments.duration, estimators=arguments.estimator
+    )
+    plan = campaign.Plan.make(scenario, arguments.runs, arguments.vary)
+    keep = _worst(arguments.keep_logs, arguments.runs)
+    hidden = arguments.quiet or arguments.json
+    if arguments.tune:
+        knobs = [tuning.Knob.read(text, scenario) for text in arguments.tune]
+        with pools.pool(arguments.workers, arguments.scheduler) as pool:
+            progress = Progress("tuning", unit="trials", hidden=hidden)
+            tuned = tuning.tune(plan, knobs, arguments.metric, pool, progress=progress)
+        Progress.clear()
+        print(json.dumps(vars(tuned), indent=1) if arguments.json else tuned.text())
+        return 0
+    if arguments.output is None:
+        raise InputError("campaign: -o DIR is missing: where the results go")
+    store = campaign.Store(arguments.output)
+    if keep and store.remote:
+        raise InputError("--keep-logs needs a local -o; fly single runs with ahrs-sim fly --from DIR --run N")
+    with pools.pool(arguments.workers, arguments.scheduler) as pool:
+        campaign.fly(plan, store, pool, Progress(f"flying {plan.name}", unit="runs", hidden=hidden))
+    if keep:
+        worst = campaign_report.worst_runs(store, arguments.metric, keep)
+        with pools.local_pool(arguments.workers) as pool:  # the workers of a cluster may not see this disk
+            for _ in campaign.keep_logs(plan, worst, Path(arguments.output) / "logs", pool):
+                pass  # runs that fail leave a log up to there
+    Progress.clear()
+    report = campaign_report.make(store, arguments.metric)
+    text = campaign_report.text(report)
+    store.write("report.json", json.dumps(report, indent=1).encode())
+    store.write("report.txt", f"{text}\n".encode())
+    if picture := campaign_report.drawn(report):
+        store.write("report.png", picture)
+    if not arguments.quiet:
+        print(json.dumps(report, indent=1) if arguments.json else text)
+    return 0 if report["failed"] < report["runs"] else 1
+
+
+def _worst(text: str | None, runs: int) -> int:
+    """How many logs `--keep-logs` asks for."""
+    if text is None:
+        return 0
+    if text == "all":
+        return runs
+    kind, _, number = text.partition(":")
+    if kind != "worst" or not number.isdigit():
+        raise InputError(f"--keep-logs {text}: write worst:N or all")
+    return int(number)

@@ -1,0 +1,111 @@
+"""What several commands share: types of arguments, groups of options, the progress bar, the live server."""
+
+import argparse
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING, TypeAlias
+
+if TYPE_CHECKING:
+    from ahrs_sim.log.live import Live
+
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+
+
+def count(text: str) -> int:
+    """Read a number of things: 1 or more."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not 1 or more")
+    return value
+
+
+def natural(text: str) -> int:
+    """Read a seed or the number of a run: 0 or more."""
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text} is negative; a seed is 0 or more")
+    return value
+
+
+def positive(text: str) -> float:
+    """Read a duration, s."""
+    value = float(text)
+    if not 0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text} is not a positive number of seconds")
+    return value
+
+
+def _port(text: str) -> int:
+    if not text.isdigit() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f"{text} is not a port; write --live=PORT, or put --live last")
+    return int(text)
+
+
+def add_estimators(command: argparse.ArgumentParser, text: str) -> None:
+    """Add `--estimator NAME`, which may be repeated: a list, empty when it was not given."""
+    command.add_argument("--estimator", action="append", default=[], metavar="NAME", help=text)
+
+
+def add_span(command: argparse.ArgumentParser, what: str = "") -> None:
+    """Add `--from T` and `--to T`: `start` and `end` in s, None when not given."""
+    command.add_argument("--from", dest="start", type=float, metavar="T", help=f"{what}from this time, s")
+    command.add_argument("--to", dest="end", type=float, metavar="T", help=f"{what}up to this time, s")
+
+
+def add_live(command: argparse.ArgumentParser) -> None:
+    """Add `--live[=PORT]` and `--rate X`, which `open_live` reads."""
+    command.add_argument(
+        "--live",
+        nargs="?",
+        type=_port,
+        const=8765,
+        metavar="PORT",
+        help="stream it to viewers, too (write --live=PORT)",
+    )
+    command.add_argument("--rate", type=positive, default=1.0, metavar="X", help="with --live: so many times real time")
+
+
+def open_live(arguments: argparse.Namespace, stopped: Callable[[], bool] = lambda: False) -> "Live | None":
+    """Open the server that `--live` asks for; None when it was not given."""
+    if arguments.live is None:
+        return None
+    from ahrs_sim.log.live import Live
+
+    live = Live(arguments.live, arguments.rate, stopped)
+    print(f"live at ws://localhost:{live.port} (Foxglove: Open connection, Foxglove WebSocket)", file=sys.stderr)
+    return live
+
+
+class Progress:
+    """A bar on the terminal for whatever takes longer than two seconds; nothing when stderr is not one."""
+
+    def __init__(self, title: str, *, unit: str = "s", hidden: bool = False) -> None:
+        import time
+
+        self.title, self.unit = title, unit
+        self.hidden = hidden or not sys.stderr.isatty()
+        self.clock = time.monotonic
+        self.begun = self.clock()
+        self.drawn = self.begun + 1.8
+        self.first: float | None = None  # how much had been done before, when a campaign goes on
+
+    def __call__(self, t: float, end: float | None) -> None:
+        """Draw the bar at `t` of `end`, in the bar's unit; without an end, only how far it is."""
+        now = self.clock()
+        if self.first is None:
+            self.first, self.begun = t, now
+        if self.hidden or now - self.drawn < 0.2:
+            return
+        self.drawn = now
+        done = min(1.0, t / end) if end else 0.0
+        bar = f"[{'#' * round(30 * done):30s}] {100 * done:3.0f} %" if end else ""
+        left = ""
+        if end and t > self.first:
+            left = f", {(now - self.begun) * (end - t) / (t - self.first):.0f} s left "
+        print(f"\r{self.title} {bar} {t:6.0f} {self.unit}{left}", end="", file=sys.stderr, flush=True)
+
+    @staticmethod
+    def clear() -> None:
+        """Remove the bar from the terminal."""
+        if sys.stderr.isatty():
+            print("\r\033[K", end="", file=sys.stderr, flush=True)

@@ -1,0 +1,67 @@
+"""`ahrs-sim compare`: accuracy of every estimator in a log."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from ahrs_sim.cli.common import Commands, add_span
+
+
+def add_parser(commands: Commands) -> argparse.ArgumentParser:
+    """Add the command and its options."""
+    command = commands.add_parser("compare", help="accuracy of every estimator in a log")
+    command.add_argument("log", type=Path, nargs="+")
+    command.add_argument("--reference", metavar="NAME", help="an estimator or any orientation topic, not the truth")
+    command.add_argument("--align", choices=["heading", "frames"], help="take out a constant rotation first")
+    command.add_argument("--sync", action="store_true", help="take out a constant delay first")
+    add_span(command)
+    command.add_argument("--lag", action="store_true", help="how late every attitude and its rate are, ms")
+    command.add_argument("--report", type=Path, metavar="HTML", help="one page with all plots, to open in a browser")
+    command.add_argument("--png", type=Path, metavar="DIR", help="the main figures")
+    form = command.add_mutually_exclusive_group()
+    form.add_argument("--json", action="store_true")
+    form.add_argument("--csv", action="store_true")
+    return command
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Print the accuracy of every estimator in every log; draw the report and the figures asked for."""
+    from ahrs_sim.review import compare
+
+    span = {"reference": arguments.reference, "start": arguments.start, "end": arguments.end}
+    results = [compare.compare(log, **span, align=arguments.align, sync=arguments.sync) for log in arguments.log]
+    texts = [compare.table(result) for result in results]
+    if arguments.lag:
+        from ahrs_sim.review import lag
+
+        for i, path in enumerate(arguments.log):
+            late = lag.of_log(path, **span)
+            texts[i] += f"\n\n{lag.table(late)}"
+            for name, values in late.items():
+                results[i]["estimators"][name] |= values
+    if arguments.json:
+        print(json.dumps(results[0] if len(results) == 1 else results, indent=1))
+    elif arguments.csv:
+        first, *rest = (compare.csv(result) for result in results)
+        print("\n".join([first, *(text.partition("\n")[2] for text in rest)]))
+    else:
+        titles = [f"{log}\n" if len(results) > 1 else "" for log in arguments.log]
+        print("\n\n".join(title + text for title, text in zip(titles, texts, strict=True)))
+    if arguments.report or arguments.png:
+        _draw(arguments, span | {"align": arguments.align, "sync": arguments.sync})
+
+
+def _draw(arguments: argparse.Namespace, span: dict[str, Any]) -> None:
+    from ahrs_sim.review import report, traces
+
+    flights = [traces.gather(log, **span) for log in arguments.log]
+    if arguments.report:
+        size = report.write(flights, arguments.report)
+        print(f"{arguments.report}: {size / 1e6:.1f} MB", file=sys.stderr)
+    if arguments.png:
+        from ahrs_sim.review import figures
+
+        for flight in flights:
+            print(*figures.draw(flight, arguments.png), sep="\n", file=sys.stderr)

@@ -1,0 +1,123 @@
+"""`ahrs-sim fly`: fly a scenario into a log and print the accuracy table."""
+
+import argparse
+import json
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ahrs_sim.cli.common import Commands, Progress, add_estimators, add_live, natural, open_live, positive
+from ahrs_sim.errors import FlightError, InputError
+
+if TYPE_CHECKING:
+    from ahrs_sim.scenario import Scenario
+
+
+def add_parser(commands: Commands) -> argparse.ArgumentParser:
+    """Add the command and its options."""
+    command = commands.add_parser("fly", help="fly a scenario into a log and print the accuracy table")
+    command.add_argument(
+        "scenario", nargs="?", help="a TOML file, or the name of a shipped one (ahrs-sim list scenarios)"
+    )
+    command.add_argument("--from", dest="campaign", metavar="DIR", help="instead of a scenario: a run of this campaign")
+    command.add_argument("--run", dest="number", type=natural, metavar="N", help="with --from: which run")
+    command.add_argument("-o", "--output", type=Path, metavar="LOG", help="default: logs/SCENARIO-seedN.mcap")
+    command.add_argument("--seed", type=natural, metavar="N", help="instead of the scenario's")
+    add_estimators(command, "only this one, or METHOD@SUITE; may be repeated")
+    command.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
+    command.add_argument("--pilot", metavar="NAME", help="fly on the attitude of this estimator, or on the truth")
+    command.add_argument("--force", action="store_true", help="replace an existing log")
+    command.add_argument("--block", type=positive, metavar="S", help="seconds a block (the log does not depend on it)")
+    command.add_argument("--json", action="store_true", help="print the accuracy as JSON")
+    command.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    add_live(command)
+    return command
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly a scenario into a log and print the accuracy table; returns 130 when stopped by Ctrl-C."""
+    scenario = _scenario(arguments)
+    output = _output(arguments, scenario)
+
+    from ahrs_sim.flight import BLOCK_S
+
+    stop: list[int] = []
+    live = open_live(arguments, lambda: bool(stop))
+    block_s = arguments.block or BLOCK_S
+    flight = None
+    if scenario.pilot_attitude == "truth":  # flies on while the estimators are being loaded
+        from ahrs_sim.flight.ahead import FlightAhead
+
+        flight = FlightAhead(scenario, max(1, round(block_s * scenario.rate)))
+    from ahrs_sim import pipeline
+    from ahrs_sim.review import compare
+
+    if not arguments.quiet:
+        for note in scenario.notes:
+            print(f"ahrs-sim: {note}", file=sys.stderr)
+    evaluator = compare.Judge([e.name for e in scenario.estimators])
+    failure: FlightError | None = None
+    previous = signal.signal(signal.SIGINT, lambda *_: stop.append(1))
+    try:
+        pipeline.fly(
+            scenario,
+            output,
+            judge=evaluator,
+            force=arguments.force,
+            block_s=block_s,
+            flight=flight.ready() if flight else None,
+            live=live,
+            progress=Progress(f"flying {scenario.name}", hidden=arguments.quiet or arguments.json),
+            stopped=lambda: bool(stop),
+        )
+    except FlightError as error:
+        failure = error  # the accuracy up to there comes first
+    finally:
+        signal.signal(signal.SIGINT, previous)
+        Progress.clear()
+        if live:
+            live.close()
+    if not arguments.quiet:
+        result = {"log": str(output), **evaluator.result()}
+        if arguments.json:
+            print(json.dumps(result, indent=1))
+        else:
+            print(*([compare.table(result)] if scenario.estimators else []), output, sep="\n")
+    if failure:
+        raise failure
+    return 130 if stop else 0
+
+
+def _scenario(arguments: argparse.Namespace) -> "Scenario":
+    """Load the scenario, or the one that a campaign flew in a run."""
+    from ahrs_sim import scenario as scenarios
+
+    if (arguments.campaign is None) != (arguments.number is None) or (arguments.campaign and arguments.scenario):
+        raise InputError("fly: give a scenario, or --from DIR and --run N")
+    if arguments.campaign is not None:
+        from ahrs_sim.runs.campaign import scenario_of
+
+        changed = (arguments.seed, arguments.duration, arguments.pilot)
+        if arguments.estimator or any(value is not None for value in changed):
+            raise InputError("fly: --from repeats a run as it was; leave --seed, --duration, --estimator, --pilot out")
+        return scenario_of(arguments.campaign, arguments.number)
+    if arguments.scenario is None:
+        raise InputError("fly: no scenario given; see ahrs-sim list scenarios")
+    return scenarios.load(
+        arguments.scenario,
+        seed=arguments.seed,
+        duration=arguments.duration,
+        estimators=arguments.estimator,
+        pilot=arguments.pilot,
+    )
+
+
+def _output(arguments: argparse.Namespace, scenario: "Scenario") -> Path:
+    """Choose the file of the log; what exists stays unless `--force` is given."""
+    output: Path = arguments.output or Path("logs") / f"{scenario.name}-seed{scenario.seed}.mcap"
+    if output.exists() and not arguments.force:
+        raise InputError(f"{output}: exists; give another -o or --force")
+    if arguments.output is None:
+        output.parent.mkdir(exist_ok=True)
+    return output

@@ -1,0 +1,78 @@
+"""`ahrs-sim list`: scenarios, aircraft, grades, estimators, layouts."""
+
+import argparse
+import json
+from typing import Any
+
+from ahrs_sim.cli.common import Commands
+
+
+def add_parser(commands: Commands) -> argparse.ArgumentParser:
+    """Add the command and its options."""
+    command = commands.add_parser("list", help="what there is")
+    command.add_argument("what", choices=list(_LISTS))
+    command.add_argument("--json", action="store_true")
+    return command
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Print the scenarios, aircraft, grades, estimators or layouts there are."""
+    rows = _LISTS[arguments.what]()
+    if arguments.json:
+        print(json.dumps(rows, indent=1))
+        return
+    table = [[str(v) for v in row.values() if not isinstance(v, dict)] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    for cells in table:
+        print("  ".join(f"{cell:{width}s}" for cell, width in zip(cells, widths, strict=True)).rstrip())
+
+
+def _scenarios() -> list[dict[str, Any]]:
+    from ahrs_sim import scenario as scenarios
+    from ahrs_sim.scenario.shipped import scenario_dir
+
+    loaded = [scenarios.load(str(path)) for path in sorted(scenario_dir().glob("*.toml"))]
+    return [{"name": s.name, "title": s.data.get("title", "")} for s in loaded]
+
+
+def _aircraft() -> list[dict[str, Any]]:
+    from ahrs_sim.flight.fdm import aircraft
+    from ahrs_sim.scenario.shipped import aircraft_dir
+
+    ours = aircraft_dir()
+    return [{"name": n, "from": "ahrs_sim" if ours in p.parents else "JSBSim"} for n, p in aircraft().items()]
+
+
+def _grades() -> list[dict[str, Any]]:
+    from ahrs_sim import sensors
+
+    return sensors.grades()
+
+
+def _estimators() -> list[dict[str, Any]]:
+    import estimators
+
+    return [
+        {
+            "name": m.name,
+            "source": m.source if m.installed else f"{m.source}; '{m.package}' is not installed",
+            "text": m.text,
+            "settings": {k: v.default for k, v in m.settings.items()},
+        }
+        for m in estimators.describe()
+    ]
+
+
+def _layouts() -> list[dict[str, Any]]:
+    from ahrs_sim.log import layouts
+
+    return layouts.describe()
+
+
+_LISTS = {
+    "scenarios": _scenarios,
+    "aircraft": _aircraft,
+    "grades": _grades,
+    "estimators": _estimators,
+    "layouts": _layouts,
+}

@@ -1,0 +1,89 @@
+"""`ahrs-sim replay`: run estimators on a log or on a recording."""
+
+import argparse
+import contextlib
+import json
+import sys
+from pathlib import Path
+
+from ahrs_sim.cli.common import Commands, Progress, add_estimators, add_live, add_span, open_live
+
+
+def add_parser(commands: Commands) -> argparse.ArgumentParser:
+    """Add the command and its options."""
+    command = commands.add_parser("replay", help="run estimators on a log of ours or on the bag of a real vehicle")
+    command.add_argument("log", type=Path, help="a log of ours, a ROS 2 bag (mcap, db3), a PX4 .ulg or a .csv")
+    command.add_argument(
+        "-o", "--output", type=Path, metavar="OUT", help="write the input's messages and the estimates"
+    )
+    add_estimators(command, "of the log's scenario or the map, METHOD@SUITE, or METHOD for a bag; may be repeated")
+    command.add_argument("--map", type=Path, metavar="TOML", help="what topics and axes of a bag mean (docs/replay.md)")
+    command.add_argument(
+        "--calibrate", action="append", default=[], choices=["mag", "gyro"], help="from the bag's own data"
+    )
+    add_span(command, "errors ")
+    command.add_argument("--align", choices=["heading", "frames"], help="take out a constant rotation first")
+    command.add_argument("--sync", action="store_true", help="shift a bag's reference to the time of its gyro")
+    command.add_argument("--force", action="store_true", help="replace an existing log")
+    command.add_argument("--json", action="store_true", help="print the accuracy as JSON")
+    add_live(command)
+    return command
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Run estimators on a log or a recording and print the accuracy table."""
+    import tempfile
+
+    from ahrs_sim import replay
+
+    changed = arguments.map or arguments.calibrate or arguments.sync or arguments.align
+    if not (arguments.output or changed or arguments.live is not None) and _evaluate_only(arguments):
+        return
+    live = open_live(arguments)
+    with live or contextlib.nullcontext(), tempfile.TemporaryDirectory(prefix="ahrs_sim-") as folder:
+        output = arguments.output or Path(folder) / arguments.log.with_suffix(".mcap").name
+        notes = replay.replay(
+            arguments.log,
+            output,
+            estimators=arguments.estimator,
+            map_file=arguments.map,
+            calibrate=arguments.calibrate,
+            sync=arguments.sync,
+            only_estimates=arguments.output is None and live is None,
+            force=arguments.force,
+            live=live,
+            progress=Progress(f"replaying {arguments.log.name}", hidden=arguments.json),
+        )
+        Progress.clear()
+        if notes and not arguments.json:
+            print("\n".join(notes), end="\n\n")
+        result = replay.accuracy(output, start=arguments.start, end=arguments.end, align=arguments.align)
+    if result is None:
+        print("no truth and no reference attitude in it: nothing to compare with", file=sys.stderr)
+        return
+    from ahrs_sim.review import compare
+
+    result["log"] = str(arguments.output or arguments.log)
+    print(json.dumps(result, indent=1) if arguments.json else compare.table(result))
+    if arguments.output and not arguments.json:
+        print(arguments.output)
+
+
+def _evaluate_only(arguments: argparse.Namespace) -> bool:
+    """Print how good estimators are on a log of ours, of which nothing has to be kept; false: not a log of ours."""
+    from ahrs_sim import replay
+
+    result = replay.judge(
+        arguments.log,
+        estimators=arguments.estimator,
+        start=arguments.start,
+        end=arguments.end,
+        progress=Progress(f"replaying {arguments.log.name}", hidden=arguments.json),
+    )
+    if result is None:
+        return False
+    from ahrs_sim.review import compare
+
+    Progress.clear()
+    print(json.dumps(result, indent=1) if arguments.json else compare.table(result))
+    return True
