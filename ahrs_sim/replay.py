@@ -7,7 +7,7 @@ From the records on it is the path of a flight: on a log of ours the same estima
 
 import math
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from ahrs_sim.log.mcap.writer import CarriedChannel, Listener, LogWriter
 from ahrs_sim.log.topics import INSTRUMENTS, REFERENCE
 from ahrs_sim.scenario import Component
 from ahrs_sim.sensors.assemble import Assembler
-from ahrs_sim.sensors.records import SuiteBlock
+from ahrs_sim.sensors.records import SuiteBlock, within
 from estimators.types import SensorInfo, Site
 
 SCENARIO = "scenario.toml"
@@ -43,7 +43,7 @@ class Recording:
     site: Site
     sensors: Mapping[str, SensorInfo]  # by suite
     estimators: Sequence[Component]
-    blocks: Iterator[dict[str, SuiteBlock]]  # by suite, in the order of arrival
+    blocks: Iterable[dict[str, SuiteBlock]]  # by suite, in the order of arrival
     epoch_ns: int  # zero of the records' times
     duration: float  # s
     carried: FlightReader | None  # whose messages go along
@@ -60,6 +60,8 @@ def replay(
     map_file: Path | None = None,
     calibrate: Sequence[str] = (),
     sync: bool = False,
+    skip: float | None = None,
+    until: float | None = None,
     only_estimates: bool = False,
     force: bool = False,
     live: Listener | None = None,
@@ -76,6 +78,7 @@ def replay(
         map_file: what topics and axes of a bag mean.
         calibrate: "mag", "gyro": from the bag's own data.
         sync: shift a bag's reference to the time of its gyro.
+        skip, until: estimators see only what was measured in this span, s from the beginning.
         only_estimates: carry nothing along but the truth.
         force: replace an existing log.
         live: is given every message of the new log, too (see `ahrs_sim.log.live`).
@@ -89,6 +92,9 @@ def replay(
     """
     if output.exists() and path.exists() and output.samefile(path):
         raise InputError(f"{output}: is the recording itself; choose another -o")
+    span = (0.0 if skip is None else skip), (math.inf if until is None else until)
+    if span[0] >= span[1]:
+        raise InputError(f"--skip {span[0]:g} --until {span[1]:g}: nothing is left between them")
     prefixes = REFERENCES if only_estimates else ("",)
     foreign = _not_mcap(path)
     if not foreign:
@@ -97,12 +103,12 @@ def replay(
             if not foreign:
                 if map_file or calibrate or sync:
                     raise InputError(f"{path}: a log of ours needs no --map, --calibrate or --sync; leave them out")
-                _run(of_flight(log, estimators), output, prefixes, force, progress, live)
+                _run(_cut(of_flight(log, estimators), *span), output, prefixes, force, progress, live)
                 return []
     from ahrs_sim.recordings.mapping import SUITE
     from ahrs_sim.recordings.recording import open_bag
 
-    with open_bag(path, map_file=map_file, calibrate=calibrate, sync=sync, names=estimators) as bag:
+    with open_bag(path, map_file=map_file, calibrate=calibrate, sync=sync, names=estimators, span=span) as bag:
         reader = getattr(bag.source, "reader", None)
         records = [i for i in bag.instruments if i in INSTRUMENTS]
         recording = Recording(
@@ -119,6 +125,18 @@ def replay(
         )
         _run(recording, output, prefixes, force, progress, live)
         return bag.notes + bag.counted()
+
+
+def _cut(recording: Recording, skip: float, until: float) -> Recording:
+    """The recording without what was measured outside of the span (s)."""
+    if skip >= recording.duration:
+        raise InputError(f"--skip {skip:g}: the recording has {recording.duration:.1f} s")
+    if skip > 0.0 or until < math.inf:
+        recording.blocks = (
+            {suite: within(block, skip * 1e9, until * 1e9) for suite, block in blocks.items()}
+            for blocks in recording.blocks
+        )
+    return recording
 
 
 def accuracy(

@@ -6,7 +6,7 @@ import json
 import sys
 from pathlib import Path
 
-from ahrs_sim.cli.common import Commands, Progress, add_estimators, add_live, add_span, open_live
+from ahrs_sim.cli.common import Commands, Progress, add_estimators, add_live, add_span, open_live, positive
 
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
@@ -22,6 +22,8 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
         "--calibrate", action="append", default=[], choices=["mag", "gyro"], help="from the bag's own data"
     )
     add_span(command, "errors ")
+    command.add_argument("--skip", type=positive, metavar="S", help="estimators see nothing of the first S seconds")
+    command.add_argument("--until", type=positive, metavar="S", help="estimators see nothing after S seconds")
     command.add_argument("--align", choices=["heading", "frames"], help="take out a constant rotation first")
     command.add_argument("--sync", action="store_true", help="shift a bag's reference to the time of its gyro")
     command.add_argument("--force", action="store_true", help="replace an existing log")
@@ -37,6 +39,7 @@ def run(arguments: argparse.Namespace) -> None:
     from ahrs_sim import replay
 
     changed = arguments.map or arguments.calibrate or arguments.sync or arguments.align
+    changed = changed or arguments.skip or arguments.until
     if not (arguments.output or changed or arguments.live is not None) and _evaluate_only(arguments):
         return
     live = open_live(arguments)
@@ -49,6 +52,8 @@ def run(arguments: argparse.Namespace) -> None:
             map_file=arguments.map,
             calibrate=arguments.calibrate,
             sync=arguments.sync,
+            skip=arguments.skip,
+            until=arguments.until,
             only_estimates=arguments.output is None and live is None,
             force=arguments.force,
             live=live,

@@ -44,6 +44,9 @@ SAME_NS = 10**7
 GAP = 5.0
 """Median intervals of the IMU from which on a pause is a gap."""
 
+BRIDGED_NS = 2 * 10**7
+"""How far away a force may have been measured that stands in for one that is missing."""
+
 _LAPSE, _EXPONENT = 0.0065, 5.255876  # K/m, standard atmosphere below 11 km
 
 
@@ -118,6 +121,10 @@ class Converter:
             columns = getattr(self, f"_{kind}")(array, self.chosen[kind])
             good = np.abs(ns - (array["log_time"] - self.epoch_ns)) < OTHER_CLOCK_NS + abs(self.mapping.shifts[kind])
             self.counts[f"{kind}: stamps of another clock"] += int(np.sum(~good))
+            if kind == "imu":
+                known = np.isfinite(columns["gyro_b"]).all(axis=1)
+                self.counts["imu: without rates, left out"] += int(np.sum(~known & good))
+                good &= known
             self._put(kind, ns, columns, good)
             if kind == "imu" and good.any():
                 self._newest = max(self._newest, int(ns[good].max()))
@@ -143,6 +150,13 @@ class Converter:
         axes = self.mapping.mount @ frames.to_frd(choice.body)
         gyro = self.mapping.gyro_unit * vector(array["angular_velocity"]) - self.calibration.gyro_bias
         accel = self.mapping.accel_unit * vector(array["linear_acceleration"])
+        gyro[array["angular_velocity_covariance"][:, 0] == -1.0] = np.nan
+        accel[array["linear_acceleration_covariance"][:, 0] == -1.0] = np.nan
+        if np.any(empty := (accel == 0.0).all(axis=1)):  # no accelerometer reads nothing on three axes
+            gyro[~empty & (vector(array["angular_velocity"]) == 0.0).all(axis=1)] = np.nan
+            accel[empty] = np.nan
+        self.counts["imu: without forces, taken from the neighbours"] += int(np.sum(np.isnan(accel).any(axis=1)))
+        accel = _filled(array["log_time"], accel)
         return {"gyro_b": gyro @ axes.T, "accel_b": accel @ axes.T}
 
     def _mag(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
@@ -221,6 +235,19 @@ class Converter:
             return root
 
         return speed(air_data.SEA_LEVEL_PRESSURE, air_data.SEA_LEVEL_TEMPERATURE), speed(static, temperature)
+
+
+def _filled(ns: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values (n, 3) with rows of NaN interpolated where a neighbour is within `BRIDGED_NS`."""
+    known = np.isfinite(values).all(axis=1)
+    if known.all() or not known.any():
+        return values
+    order = np.argsort(ns[known], kind="stable")
+    t, rows = ns[known][order], values[known][order]
+    right = np.clip(np.searchsorted(t, ns), 0, len(t) - 1)
+    near = np.minimum(np.abs(t[right] - ns), np.abs(t[np.maximum(right - 1, 0)] - ns)) < BRIDGED_NS
+    between = np.column_stack([np.interp(ns - t[0], t - t[0], column) for column in rows.T])
+    return np.where((~known & near)[:, None], between, values)
 
 
 def field(array: np.ndarray) -> np.ndarray:

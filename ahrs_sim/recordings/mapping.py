@@ -35,8 +35,9 @@ Everything in a map is optional:
 """
 
 import dataclasses
+import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,7 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim.errors import InputError, nearest
+from ahrs_sim.log.mcap.reader import vector
 from ahrs_sim.recordings import frames
 from ahrs_sim.recordings.frames import ORIENTATIONS
 from ahrs_sim.recordings.sources import UNITS, Source, Topic
@@ -206,47 +208,68 @@ class Choice:
     world: str
 
 
-def choose(source: Source, mapping: Map) -> dict[str, Choice]:
+def choose(source: Source, mapping: Map, notes: list[str] | None = None) -> dict[str, Choice]:
     """Topics by kind: as the map says, else by type, name and rate.
+
+    Args:
+        source: the recording.
+        mapping: the user's map.
+        notes: gets a line for each topic that has the right type and is passed over.
 
     Raises:
         InputError: no IMU, a topic of the map that is not there, or of a type that cannot be that.
     """
     topics = {t.name: t for t in source.topics()}
     chosen: dict[str, Choice] = {}
-    for kind, types in KINDS.items():
+    passed: list[str] = []
+    for kind in KINDS:
         wanted = mapping.topics.get(kind)
         if wanted == "":
             continue
-        if wanted is not None:
-            if wanted not in topics:
-                raise InputError(f"{mapping.where}: [topics]: {kind}: no topic '{wanted}'{nearest(wanted, topics)}")
-            if topics[wanted].type_name not in types:
-                raise InputError(
-                    f"{mapping.where}: [topics]: {kind}: {wanted} is a {topics[wanted].type_name}; "
-                    f"it must be {' or '.join(types)}"
-                )
-            candidates = [topics[wanted]]
-        else:
-            taken = [c.topic.name for k, c in chosen.items() if k != "imu"]
-            candidates = [t for t in topics.values() if t.type_name in types and t.name not in taken]
-            candidates = [t for t in candidates if not any(w in t.name.lower() for w in _DISLIKED.get(kind, ()))]
-            if kind in _NEEDED:
-                candidates = [t for t in candidates if any(w in t.name.lower() for w in _NEEDED[kind])]
-            candidates.sort(key=lambda t: (_liking(kind, t.name), -t.count))
+        taken = [c.topic.name for k, c in chosen.items() if k != "imu"]
+        candidates = _candidates(kind, topics, taken) if wanted is None else [_named(kind, wanted, topics, mapping)]
         for topic in candidates:
             first = _first(source, topic.name)
-            if len(first) and (wanted is not None or _fits(kind, topic, first)):
-                body, world = frames.named(first, topic.type_name)
-                if kind == "reference":
-                    body, world = mapping.reference_body or body, mapping.reference_world or world
+            why = "" if wanted and len(first) else _unfit(kind, topic, first, source)
+            if why:
+                if "never change" in why or kind == "imu":
+                    passed.append(f"{topic.name} is no {kind}: {why}")
+                continue
+            body, world = frames.named(first, topic.type_name)
+            if kind == "reference":
+                chosen[kind] = Choice(topic, mapping.reference_body or body, mapping.reference_world or world)
+            else:
                 chosen[kind] = Choice(topic, mapping.body or body, mapping.world or world)
-                if kind == "reference":
-                    chosen[kind] = Choice(topic, body, world)
-                break
+            break
     if "imu" not in chosen:
-        raise InputError(f"{source.path}: no IMU in it (no {IMU} with angular rates); name it with --map, [topics] imu")
+        why = f"; {passed[0]}" if passed else ""
+        raise InputError(
+            f"{source.path}: no IMU in it (no {IMU} with rates and forces{why}); name it with --map, [topics] imu"
+        )
+    if notes is not None:
+        notes += passed
     return chosen
+
+
+def _candidates(kind: str, topics: Mapping[str, Topic], taken: Sequence[str]) -> list[Topic]:
+    """Topics that could be of a kind, the likeliest first."""
+    found = [t for t in topics.values() if t.type_name in KINDS[kind] and t.name not in taken]
+    found = [t for t in found if not any(w in t.name.lower() for w in _DISLIKED.get(kind, ()))]
+    if kind in _NEEDED:
+        found = [t for t in found if any(w in t.name.lower() for w in _NEEDED[kind])]
+    return sorted(found, key=lambda t: (_liking(kind, t.name), -t.count))
+
+
+def _named(kind: str, wanted: str, topics: Mapping[str, Topic], mapping: Map) -> Topic:
+    """The topic that the map names."""
+    if wanted not in topics:
+        raise InputError(f"{mapping.where}: [topics]: {kind}: no topic '{wanted}'{nearest(wanted, topics)}")
+    if topics[wanted].type_name not in KINDS[kind]:
+        raise InputError(
+            f"{mapping.where}: [topics]: {kind}: {wanted} is a {topics[wanted].type_name}; "
+            f"it must be {' or '.join(KINDS[kind])}"
+        )
+    return topics[wanted]
 
 
 def _liking(kind: str, name: str) -> int:
@@ -262,19 +285,46 @@ def _first(source: Source, topic: str) -> np.ndarray:
     return np.empty(0)
 
 
-def _fits(kind: str, topic: Topic, first: np.ndarray) -> bool:
-    """Whether the first messages are what the kind asks for."""
+def _unfit(kind: str, topic: Topic, first: np.ndarray, source: Source) -> str:
+    """Why a topic cannot be of a kind; nothing when it can."""
+    if not len(first):
+        return "no message in it"
     if kind == "imu":
-        told = first["angular_velocity_covariance"][:, 0] != -1.0
-        rate = np.stack([first["angular_velocity"][a] for a in "xyz"], axis=-1)
-        return bool(told.any() and np.isfinite(rate).all(axis=1).any())
-    if kind == "reference":
+        for what, place in (("rates", "angular_velocity"), ("forces", "linear_acceleration")):
+            if (first[f"{place}_covariance"][:, 0] == -1.0).all():
+                return f"it has no {what} (covariance -1)"
+            if not _changes(source, topic.name, functools.partial(_vector, place)):
+                return f"its {what} never change"
+    if kind == "reference" or (kind == "heading" and topic.type_name != "ahrs_sim_msgs/msg/Heading"):
         q = frames.orientation(first, topic.type_name)
-        return bool((np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.1).any())
+        if not (np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.1).any():
+            return "it has no orientation"
+        if not _changes(source, topic.name, lambda block: frames.orientation(block, topic.type_name)):
+            return "its orientation never changes"
     if kind in ("diff_pressure", "static_pressure"):
         static = _STATIC[0] < abs(float(np.nanmedian(first["fluid_pressure"]))) < _STATIC[1]
-        return static == (kind == "static_pressure")
-    return True
+        if static != (kind == "static_pressure"):
+            return "static pressure" if static else "differential pressure"
+    return ""
+
+
+def _vector(place: str, array: np.ndarray) -> np.ndarray:
+    return vector(array[place])
+
+
+def _changes(source: Source, topic: str, values: Callable[[np.ndarray], np.ndarray]) -> bool:
+    """Whether finite values (n, k) of a topic's messages differ anywhere; reads on until they do."""
+    known = None
+    for block in source.blocks([topic]):
+        if not len(block[topic]):
+            continue
+        found = values(block[topic])
+        found = found[np.isfinite(found).all(axis=1)]
+        if len(found):
+            known = found[0] if known is None else known
+            if (found != known).any():
+                return True
+    return False
 
 
 def described(chosen: Mapping[str, Choice], duration: float) -> Sequence[str]:

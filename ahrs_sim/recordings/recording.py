@@ -18,7 +18,7 @@ from ahrs_sim.recordings.convert import Calibration, Converter
 from ahrs_sim.recordings.mapping import SUITE, Choice, Map
 from ahrs_sim.recordings.sources import Source, open_source
 from ahrs_sim.scenario import Component
-from ahrs_sim.sensors.records import SuiteBlock
+from ahrs_sim.sensors.records import SuiteBlock, within
 from ahrs_sim.world import gravity, magnetic
 from estimators.types import SensorInfo, Site
 
@@ -39,6 +39,7 @@ class Bag:
     converter: Converter
     metadata: dict[str, str]
     notes: list[str]
+    span: tuple[float, float] = (0.0, math.inf)  # s, what estimators see
 
     def __enter__(self) -> Self:
         return self
@@ -58,7 +59,7 @@ class Bag:
         """Records by suite, in order; once."""
         topics = [c.topic.name for c in self.converter.chosen.values()]
         for block in self.converter.records(self.source.blocks(topics)):
-            yield {SUITE: block}
+            yield {SUITE: within(block, 1e9 * self.span[0], 1e9 * self.span[1])}
 
     def counted(self) -> list[str]:
         """What was wrong with the messages, after the last block."""
@@ -66,7 +67,13 @@ class Bag:
 
 
 def open_bag(
-    path: Path, *, map_file: Path | None, calibrate: Sequence[str] = (), sync: bool = False, names: Sequence[str] = ()
+    path: Path,
+    *,
+    map_file: Path | None,
+    calibrate: Sequence[str] = (),
+    sync: bool = False,
+    names: Sequence[str] = (),
+    span: tuple[float, float] = (0.0, math.inf),
 ) -> Bag:
     """Open a recording, choose its topics, look at it once.
 
@@ -76,6 +83,7 @@ def open_bag(
         calibrate: "mag": fit hard and soft iron; "gyro": take the bias of standing stretches out.
         sync: shift the reference attitude so that it agrees with the gyro in time.
         names: estimators: of the map, or methods of the catalogue; none: all of the map, else one that fits.
+        span: s from the beginning; what was measured outside of it is left out.
 
     Raises:
         InputError: the file, the map or something asked for is wrong.
@@ -83,22 +91,34 @@ def open_bag(
     map_ = mapping.load(map_file)
     source = open_source(path, map_.table)
     try:
-        return _opened(source, map_, calibrate, sync, names)
+        return _opened(source, map_, calibrate, sync, names, span)
     except BaseException:
         source.close()
         raise
 
 
-def _opened(source: Source, map_: Map, calibrate: Sequence[str], sync: bool, names: Sequence[str]) -> Bag:
+def _opened(
+    source: Source,
+    map_: Map,
+    calibrate: Sequence[str],
+    sync: bool,
+    names: Sequence[str],
+    span: tuple[float, float],
+) -> Bag:
     path = source.path
-    chosen = mapping.choose(source, map_)
+    passed: list[str] = []
+    chosen = mapping.choose(source, map_, passed)
     topics = [c.topic.name for c in chosen.values()]
     nothing = Calibration(np.zeros(3), np.eye(3), map_.gyro_bias)
     first = Converter(chosen, map_, nothing, source.epoch_ns)
-    seen = survey.look(_magnetometer_as_is(first, source, topics))
+    seen = survey.look(
+        within(block, 1e9 * span[0], 1e9 * span[1]) for block in _magnetometer_as_is(first, source, topics)
+    )
+    if not len(seen.t) and (span[0] > 0.0 or span[1] < math.inf):
+        raise InputError(f"{path}: --skip/--until: no message of {chosen['imu'].topic.name} is left")
     if not len(seen.t):
         raise InputError(f"{path}: {chosen['imu'].topic.name} has no usable message; check stamps and [time] stamps")
-    notes = [*mapping.described(chosen, source.duration)]
+    notes = [*mapping.described(chosen, source.duration), *passed]
     if first.log_times and map_.stamps is None:
         notes.append("header stamps are of another clock: times of the log are used ([time] stamps)")
 
@@ -142,6 +162,7 @@ def _opened(source: Source, map_: Map, calibrate: Sequence[str], sync: bool, nam
         converter=Converter(chosen, map_, calibration, source.epoch_ns),
         metadata=metadata,
         notes=notes,
+        span=span,
     )
 
 

@@ -108,3 +108,14 @@ SuiteBlock = dict[str, Record]
 """One block of a suite, records by instrument: imu, imu_errors, mag, fix, velocity, heading, diff_pressure,
 static_pressure, air, interferometer; on replay also reference.
 """
+
+
+def within(block: SuiteBlock, first_ns: float, last_ns: float) -> SuiteBlock:
+    """The rows of a block stamped from `first_ns` to `last_ns`."""
+    cut = {}
+    for name, records in block.items():
+        rows = (records.stamp_ns >= first_ns) & (records.stamp_ns <= last_ns)
+        cut[name] = (
+            records if rows.all() else type(records)(*(getattr(records, f)[rows] for f in records.__match_args__))
+        )
+    return cut

@@ -93,6 +93,74 @@ def test_what_was_chosen_is_said(tmp_path: Path, moving: Motion) -> None:
     assert bag.sensors.rate == pytest.approx(100.0, rel=1e-3)
 
 
+def write_imus(path: Path, m: Motion, **topics: dict[str, Any]) -> None:
+    """A bag with Imu topics of any contents: constants of the channel, and columns, by topic; and a pose at 50 Hz."""
+    with LogWriter(path, epoch_ns=EPOCH, force=True) as log:
+        channels = {
+            name: log.add_channel(
+                f"/{name}/imu", "sensor_msgs/msg/Imu", frame_id="x_frd", constant=c.pop("constant", {})
+            )
+            for name, c in topics.items()
+        }
+        pose = log.add_channel("/pose", "nav_msgs/msg/Odometry",
+                               constant={"header": {"frame_id": "map_ned"}, "child_frame_id": "x_frd"})  # fmt: skip
+        log.start()
+        for name, columns in topics.items():
+            log.write(channels[name], ns(m.t), ns(m.t), **columns)
+        log.write(pose, ns(m.t[::2]), ns(m.t[::2]), **{"pose.pose.orientation": m.q_nb[::2]})
+
+
+ABSENT = np.r_[-1.0, np.zeros(8)]
+
+
+def test_a_placeholder_is_neither_imu_nor_reference(tmp_path: Path, moving: Motion) -> None:
+    """More messages, a better name, unit quaternions: what never changes or says that it is absent is not taken."""
+    rates, forces = {"angular_velocity": moving.gyro_b}, {"linear_acceleration": moving.accel_b}
+    unit = {"orientation": np.tile([1.0, 0.0, 0.0, 0.0], (len(moving.t), 1))}
+    write_imus(
+        tmp_path / "a.mcap", moving,
+        a_raw_zeros=unit | {"angular_velocity": np.zeros((len(moving.t), 3))},
+        b_raw_rates={**rates, **forces, "constant": {"linear_acceleration_covariance": ABSENT}},
+        c_truth={**rates, **forces, **unit},
+    )  # fmt: skip
+    bag = opened(tmp_path / "a.mcap")
+    assert bag.converter.chosen["imu"].topic.name == "/c_truth/imu"
+    assert bag.converter.chosen["reference"].topic.name == "/pose"
+    for line in (
+        "/a_raw_zeros/imu is no imu: its rates never change",
+        "/b_raw_rates/imu is no imu: it has no forces (covariance -1)",
+        "/c_truth/imu is no reference: its orientation never changes",
+    ):
+        assert line in bag.notes
+    np.testing.assert_allclose(samples_of(bag).accel_b, moving.accel_b, atol=1e-11)
+    write_imus(tmp_path / "b.mcap", moving, a=unit)
+    with pytest.raises(InputError, match=r"no IMU in it .*its rates never change"):
+        opened(tmp_path / "b.mcap")
+
+
+def test_rates_and_forces_in_turn(tmp_path: Path, moving: Motion) -> None:
+    gyro, accel = moving.gyro_b.copy(), moving.accel_b.copy()
+    gyro[::2], accel[1::2] = 0.0, 0.0
+    write_imus(tmp_path / "a.mcap", moving, a={"angular_velocity": gyro, "linear_acceleration": accel})
+    bag = opened(tmp_path / "a.mcap")
+    s = samples_of(bag)
+    turning = s.t > 12.0
+    np.testing.assert_allclose(s.t[turning], moving.t[1::2][moving.t[1::2] > 12.0], atol=1e-9)
+    np.testing.assert_allclose(s.gyro_b[turning], moving.gyro_b[1::2][moving.t[1::2] > 12.0], atol=1e-12)
+    expected = 0.5 * (moving.accel_b[:-2:2] + moving.accel_b[2::2])
+    np.testing.assert_allclose(s.accel_b[turning][:-1], expected[moving.t[1:-1:2] > 12.0], atol=1e-9)
+    assert any(line.startswith("imu: without rates, left out") for line in bag.counted())
+
+
+def test_estimators_see_the_span_that_was_asked_for(tmp_path: Path, moving: Motion) -> None:
+    write_bag(tmp_path / "a.mcap", moving)
+    bag = opened(tmp_path / "a.mcap", None, span=(12.0, 30.0))
+    s = samples_of(bag)
+    assert (s.t[0], s.t[-1]) == (pytest.approx(12.0), pytest.approx(30.0))
+    with pytest.raises(InputError, match="--skip/--until: no message"):
+        opened(tmp_path / "a.mcap", None, span=(100.0, np.inf))
+
+
 def test_frame_names_decide(tmp_path: Path, moving: Motion) -> None:
     write_bag(tmp_path / "a.mcap", moving, body="FRD", imu_frame="base_link_frd")
     assert opened(tmp_path / "a.mcap", '[topics]\nreference = ""').converter.chosen["imu"].body == "FRD"
