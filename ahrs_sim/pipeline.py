@@ -1,6 +1,6 @@
 """A flight from scenario to log: one loop over blocks.
 
-    flight -> sensors -> estimators -> log, judge
+    flight -> sensors -> estimators -> log, accuracy
 
 Each stage has `process(block) -> block` and keeps its own state. When an estimator flies the aircraft a block is one
 IMU sample long, else seconds; nothing else differs, and the log's bytes do not depend on it.
@@ -12,25 +12,27 @@ import platform
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 import estimators
 from ahrs_sim.errors import FlightError, InputError
+from ahrs_sim.evaluation.decimate import RowDecimator
 from ahrs_sim.flight import BLOCK_S, Flight, open_flight
-from ahrs_sim.flight.truth import Event, Truth
-from ahrs_sim.log.flight_log import Every, FlightLog
+from ahrs_sim.flight.truth import Event, Setpoints, Truth
+from ahrs_sim.log.flight_log import FlightLog
 from ahrs_sim.log.mcap.writer import Listener
 from ahrs_sim.log.topics import TRUTH_RATE
 from ahrs_sim.scenario import Component, Scenario
 from ahrs_sim.sensors import Assembler, Suite, make_suite
 from ahrs_sim.sensors.faults import check_suites
+from ahrs_sim.sensors.records import Record
 from ahrs_sim.world import gravity, magnetic
-from estimators.types import Columns, Estimates, SensorInfo, Site
+from estimators.types import Estimates, SensorInfo, Site
 
 if TYPE_CHECKING:
-    from ahrs_sim.review.compare import Judge
+    from ahrs_sim.evaluation.accuracy import Accuracy
 
 
 @dataclass
@@ -47,7 +49,7 @@ def fly(
     scenario: Scenario,
     output: Path | None,
     *,
-    judge: "Judge | None" = None,
+    accuracy: "Accuracy | None" = None,
     force: bool = False,
     block_s: float = BLOCK_S,
     flight: Flight | None = None,
@@ -55,12 +57,12 @@ def fly(
     progress: Callable[[float, float | None], None] = lambda t, end: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Fly a scenario into a log, or before a judge, or both.
+    """Fly a scenario into a log, evaluate its estimators, or both.
 
     Args:
         scenario: what to fly.
         output: the log; `output.part` until it is complete. None: no log.
-        judge: told of the truth and of the estimates as they come (see `review.compare`).
+        accuracy: gathers errors of the estimators during the flight.
         force: replace an existing log.
         block_s: length of the blocks, s; the log does not depend on it.
         flight: the scenario's flight, if it has begun already (see `flight.ahead`).
@@ -95,12 +97,12 @@ def fly(
                 listener=live,
             )
             stack.enter_context(log)
-        record = _Recorder(log, judge, scenario.rate)
+        record = _Recorder(log, accuracy, scenario.rate)
         record.events([Event(0.0, "warning", "scenario", note) for note in scenario.notes])
         while len(truth := flight.process(rows)):
             t = float(truth.t[-1])
-            record.add("truth", truth)
-            record.add("setpoints", flight.take_setpoints())
+            record.truth(truth)
+            record.setpoints(flight.take_setpoints())
             due = record.due(t)
             for chain in chains:
                 chain.waiting.append(truth)
@@ -129,57 +131,85 @@ def _listen(chain: Chain, record: "_Recorder", flight: Flight, pilot: str) -> No
     block = chain.suite.process(Truth.concatenate(chain.waiting))
     chain.waiting.clear()
     for instrument, sent in block.items():
-        record.add("record", sent, chain.suite.name, instrument)
+        record.record(chain.suite.name, instrument, sent)
     samples = chain.assembler.process(block)
     for name, estimator in chain.estimators.items():
         estimates = estimator.process(samples)
-        record.add("estimates", estimates, name)
+        record.estimates(name, estimates)
         if name == pilot:
             _feed_back(flight, estimates, samples.gyro_b)
     record.events(chain.suite.take_events())
 
 
 class _Recorder:
-    """Gathers small blocks and hands on seconds at once: a message costs little, a call does not."""
+    """Buffers blocks and hands them on once every `BLOCK_S`, because the overhead of a call dominates."""
 
-    def __init__(self, log: FlightLog | None, judge: "Judge | None", truth_rate: float) -> None:
-        self.log, self.judge = log, judge
-        self.judged = Every(truth_rate / TRUTH_RATE)  # what the log keeps, so that both give the same figures
-        self.waiting: dict[tuple[str, ...], list[Columns]] = {}
+    def __init__(self, log: FlightLog | None, accuracy: "Accuracy | None", truth_rate: float) -> None:
+        self.log, self.accuracy = log, accuracy
+        self.compared = RowDecimator(truth_rate / TRUTH_RATE)  # what the log keeps, so that both give the same figures
+        self.truths: list[Truth] = []
+        self.setpoint_list: list[Setpoints] = []
+        self.records: dict[tuple[str, str], list[Record]] = {}
+        self.estimate_lists: dict[str, list[Estimates]] = {}
         self.event_list: list[Event] = []
         self.flushed_to = 0.0
 
-    def add(self, kind: str, block: Columns, *key: str) -> None:
-        """A block for the method `kind` of the log."""
+    def truth(self, block: Truth) -> None:
+        """Buffer the truth."""
+        self.truths.append(block)
+
+    def setpoints(self, block: Setpoints) -> None:
+        """Buffer setpoints of the pilot."""
         if len(block):
-            self.waiting.setdefault((kind, *key), []).append(block)
+            self.setpoint_list.append(block)
+
+    def record(self, suite: str, instrument: str, block: Record) -> None:
+        """Buffer what an instrument has sent."""
+        if len(block):
+            self.records.setdefault((suite, instrument), []).append(block)
+
+    def estimates(self, name: str, block: Estimates) -> None:
+        """Buffer what an estimator reports."""
+        if len(block):
+            self.estimate_lists.setdefault(name, []).append(block)
 
     def events(self, events: list[Event]) -> None:
+        """Buffer events."""
         self.event_list.extend(events)
 
     def due(self, t: float) -> bool:
-        """Is it time to write? Says so once every `BLOCK_S`."""
+        """Decide whether to flush at `t` (s): true once every `BLOCK_S`."""
         due = t - self.flushed_to >= BLOCK_S
         self.flushed_to = t if due else self.flushed_to
         return due
 
     def flush(self, t: float | None = None) -> None:
-        """Hand on what is there; all up to `t` (s) has come."""
-        for (kind, *key), blocks in self.waiting.items():
-            block: Any = Columns.concatenate.__func__(type(blocks[0]), blocks)  # type: ignore[attr-defined]
-            if self.log:
-                getattr(self.log, kind)(*key, block)
-            if self.judge and kind == "truth":
-                rows = self.judged.rows(len(block))
-                self.judge.truth(block.t[rows], block.q_nb[rows], block.vel_n[rows], block.on_ground[rows])
-            elif self.judge and kind == "estimates":
-                self.judge.estimates(key[0], block)
-        self.waiting.clear()
+        """Hand on what is buffered; with `t` (s), everything up to there has come."""
+        truth = Truth.concatenate(self.truths) if self.truths else None
+        estimates = {name: Estimates.concatenate(blocks) for name, blocks in self.estimate_lists.items()}
         if self.log:
-            self.log.events(self.event_list)
-            if t is not None:
-                self.log.advance(t)
-        self.event_list = []
+            self._write(self.log, truth, estimates, t)
+        if self.accuracy:
+            if truth is not None:
+                rows = self.compared.rows(len(truth))
+                self.accuracy.add_truth(truth.t[rows], truth.q_nb[rows], truth.vel_n[rows], truth.on_ground[rows])
+            for name, block in estimates.items():
+                self.accuracy.add_estimates(name, block)
+        for buffer in (self.truths, self.setpoint_list, self.records, self.estimate_lists, self.event_list):
+            buffer.clear()
+
+    def _write(self, log: FlightLog, truth: Truth | None, estimates: dict[str, Estimates], t: float | None) -> None:
+        if truth is not None:
+            log.truth(truth)
+        if self.setpoint_list:
+            log.setpoints(Setpoints.concatenate(self.setpoint_list))
+        for (suite, instrument), blocks in self.records.items():
+            log.record(suite, instrument, type(blocks[0]).concatenate(blocks))
+        for name, block in estimates.items():
+            log.estimates(name, block)
+        log.events(self.event_list)
+        if t is not None:
+            log.advance(t)
 
 
 def site_of(scenario: Scenario, flight: Flight) -> Site:

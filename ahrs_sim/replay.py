@@ -151,7 +151,7 @@ def accuracy(
     return compare.compare(output, start=start, end=end, align=align)
 
 
-def judge(
+def evaluate(
     path: Path,
     *,
     estimators: Sequence[str] = (),
@@ -166,6 +166,7 @@ def judge(
     Raises:
         InputError: as `replay`, or there is nothing between start and end.
     """
+    from ahrs_sim.evaluation.accuracy import Accuracy
     from ahrs_sim.review import compare
 
     if _not_mcap(path):
@@ -176,22 +177,22 @@ def judge(
             return None
 
         def truth(messages: Mapping[str, np.ndarray]) -> None:
-            compare.tell_truth(log, errors, messages)
+            compare.read_truth_into(errors, log, messages)
 
         recording = of_flight(log, estimators, truth, *topics)
-        errors = compare.Judge([c.name for c in recording.estimators])
+        errors = Accuracy([c.name for c in recording.estimators])
         chains = _chains(recording)
         for blocks in recording.blocks:
             reached = 0.0
             for suite, (assembler, listening) in chains.items():
                 samples = assembler.process(blocks[suite])
                 for name, estimator in listening.items():
-                    errors.estimates(name, estimator.process(samples))
+                    errors.add_estimates(name, estimator.process(samples))
                 if len(samples):
                     reached = max(reached, float(samples.t[-1]))
             progress(reached, recording.duration)
     low, high = -math.inf if start is None else start, math.inf if end is None else end
-    return compare.verdict(path, errors, "truth", low, high)
+    return compare.result_of(errors, path, "truth", low, high)
 
 
 def _not_mcap(path: Path) -> bool:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim import pipeline, scenario
-from ahrs_sim.review import compare
+from ahrs_sim.evaluation.accuracy import Accuracy
 
 SCENARIOS, SUITES = ("turns", "circuit"), ("chr", "sbg")
 START, OUTAGE, OUTAGE_S = 80.0, 240.0, 60.0
@@ -143,11 +143,11 @@ def flight(name: str, seed: int, duration: float | None, peers: bool) -> dict[st
     }
     if name != "turns":  # where else it turns when the satellites go is chance
         data["estimator"] = {k: v for k, v in data["estimator"].items() if not k.startswith("outage")}
-    judge = compare.Judge(list(data["estimator"]), honesty=True)
-    pipeline.fly(scenario.parse(data, name, name, seed=seed, duration=duration), None, judge=judge)
-    figures: dict[str, Any] = judge.result(low=START, band_s=1e4)["estimators"]
+    accuracy = Accuracy(list(data["estimator"]), with_consistency=True)
+    pipeline.fly(scenario.parse(data, name, name, seed=seed, duration=duration), None, accuracy=accuracy)
+    figures: dict[str, Any] = accuracy.result(low=START, band_s=1e4)["estimators"]
     if name == "turns":
-        lost = judge.result(low=OUTAGE, high=OUTAGE + OUTAGE_S, band_s=1e4)["estimators"]
+        lost = accuracy.result(low=OUTAGE, high=OUTAGE + OUTAGE_S, band_s=1e4)["estimators"]
         figures |= {k: lost[k] for k in figures if k.startswith("outage")}
     return figures
 

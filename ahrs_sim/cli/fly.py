@@ -51,19 +51,20 @@ def run(arguments: argparse.Namespace) -> int:
 
         flight = FlightAhead(scenario, max(1, round(block_s * scenario.rate)))
     from ahrs_sim import pipeline
+    from ahrs_sim.evaluation.accuracy import Accuracy
     from ahrs_sim.review import compare
 
     if not arguments.quiet:
         for note in scenario.notes:
             print(f"ahrs-sim: {note}", file=sys.stderr)
-    evaluator = compare.Judge([e.name for e in scenario.estimators])
+    accuracy = Accuracy([e.name for e in scenario.estimators])
     failure: FlightError | None = None
     previous = signal.signal(signal.SIGINT, lambda *_: stop.append(1))
     try:
         pipeline.fly(
             scenario,
             output,
-            judge=evaluator,
+            accuracy=accuracy,
             force=arguments.force,
             block_s=block_s,
             flight=flight.ready() if flight else None,
@@ -79,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
         if live:
             live.close()
     if not arguments.quiet:
-        result = {"log": str(output), **evaluator.result()}
+        result = {"log": str(output), **accuracy.result()}
         if arguments.json:
             print(json.dumps(result, indent=1))
         else:

@@ -78,7 +78,7 @@ def _evaluate_only(arguments: argparse.Namespace) -> bool:
     """Print how good estimators are on a log of ours, of which nothing has to be kept; false: not a log of ours."""
     from ahrs_sim import replay
 
-    result = replay.judge(
+    result = replay.evaluate(
         arguments.log,
         estimators=arguments.estimator,
         start=arguments.start,

@@ -1,4 +1,4 @@
-"""Honesty of a filter: whether its errors and innovations have the size that its covariances say.
+"""Consistency of a filter: whether its errors and innovations have the size that its covariances claim.
 
 Normalised estimation error squared (NEES) and normalised innovation squared (NIS) of a consistent filter follow a
 chi-square law with as many degrees of freedom as there are components (Bar-Shalom, Li, Kirubarajan 2001, section 5.4).
@@ -6,9 +6,14 @@ Divided by those degrees they have mean 1: above, a filter is overconfident, bel
 so that sums over time obey the law too; estimation errors are not, so that NEES may be averaged over runs only.
 """
 
+import math
+
 import numpy as np
 
 from ahrs_sim.evaluation import metrics
+
+FREEDOM = 3
+"""Degrees of freedom of an attitude error."""
 
 
 def chi_square_bounds(freedom: np.ndarray | float, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
@@ -113,31 +118,41 @@ def euler_sigma(q_nb: np.ndarray, att_cov: np.ndarray) -> np.ndarray:
         return np.asarray(np.sqrt(variance))
 
 
-def summary(
-    q_nb: np.ndarray, att_cov: np.ndarray, innovation: np.ndarray, variance: np.ndarray, reference: np.ndarray
-) -> dict[str, float]:
-    """How honest an estimator was over a flight.
+def within(error: np.ndarray, sigma: np.ndarray, times: float = 3.0) -> np.ndarray:
+    """Test whether all components lie inside so many sigma: (n,) 1, 0, or NaN where one is not known.
 
     Args:
-        q_nb, reference: (n, 4).
-        att_cov: (n, 3, 3) rad2.
-        innovation, variance: (n, m).
+        error: (n, k).
+        sigma: (n, k), same unit.
+        times: how many sigma.
+    """
+    with np.errstate(invalid="ignore"):
+        inside: np.ndarray = np.where(np.isfinite(error + sigma), np.abs(error) <= times * sigma, np.nan).min(axis=1)
+    return inside
+
+
+def summary(
+    nees: np.ndarray, squares: np.ndarray, freedom: np.ndarray, inside: np.ndarray | None = None
+) -> dict[str, float]:
+    """Summarise the consistency of an estimator over a flight.
+
+    Args:
+        nees: (n,) of the attitude, per degree of freedom (`attitude_nees` / `FREEDOM`).
+        squares, freedom: (m,) NIS and its degrees of freedom, of rows or of sums over rows.
+        inside: (k,) from `within`.
 
     Returns:
-        `nees` and `nis`, means divided by their degrees of freedom (1: consistent); `nees_inside` and `sigma3_inside`,
-        the fractions of time inside the 95 % bounds and with every Euler angle inside +-3 sigma. NaN: not to be told.
+        `nees` and `nis`, means per degree of freedom (1: consistent, above: overconfident); `nees_inside`, the share of
+        rows inside the 95 % bounds; `inside`, the share of rows with all Euler errors inside three sigma. NaN: unknown.
     """
-    value = attitude_nees(q_nb, att_cov, reference)
-    known = np.isfinite(value)
-    low, high = chi_square_bounds(3)
-    squares, freedom = nis(innovation, variance)
-    error = metrics.wrap(metrics.euler(q_nb) - metrics.euler(reference))
-    sigma = euler_sigma(q_nb, att_cov)
-    judged = np.isfinite(error).all(axis=1) & np.isfinite(sigma).all(axis=1)
-    inside = (np.abs(error[judged]) <= 3 * sigma[judged]).all(axis=1)
+    known = nees[np.isfinite(nees)]
+    low, high = chi_square_bounds(FREEDOM)
+    count = float(np.nansum(freedom))
+    within_known = np.empty(0) if inside is None else inside[np.isfinite(inside)]
+    scaled = known * FREEDOM
     return {
-        "nees": float(value[known].mean() / 3) if known.any() else float("nan"),
-        "nees_inside": float(np.mean((value[known] >= low) & (value[known] <= high))) if known.any() else float("nan"),
-        "nis": float(squares.sum() / freedom.sum()) if freedom.any() else float("nan"),
-        "sigma3_inside": float(inside.mean()) if judged.any() else float("nan"),
+        "nees": float(np.mean(known, dtype=float)) if len(known) else math.nan,
+        "nees_inside": float(np.mean((scaled >= low) & (scaled <= high))) if len(known) else math.nan,
+        "nis": float(np.nansum(squares, dtype=float)) / count if count else math.nan,
+        "inside": float(np.mean(within_known)) if len(within_known) else math.nan,
     }

@@ -2,15 +2,29 @@
 
 import math
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 
-MEASURES = ("roll", "pitch", "heading", "tilt", "total")
-"""Errors of an attitude: three Euler angles, the angle between the two verticals, the angle of the whole rotation."""
 
+class Measure(IntEnum):
+    """Errors of an attitude, as columns: Euler angles, angle between the verticals, angle of the whole rotation."""
+
+    ROLL = 0
+    PITCH = 1
+    HEADING = 2
+    TILT = 3
+    TOTAL = 4
+
+
+MEASURES = tuple(measure.name.lower() for measure in Measure)
+"""Names of the columns of `attitude_errors`, in order."""
+
+EULER = slice(Measure.ROLL, Measure.HEADING + 1)
+"""Columns of the three Euler angles."""
 
 GAP = 5.0
-"""Periods of a reference; where its samples are further apart it has nothing to say."""
+"""Periods of a reference; where its samples are further apart it is not interpolated."""
 
 
 def euler(q_nb: np.ndarray) -> np.ndarray:
@@ -60,23 +74,23 @@ def interpolate(t: np.ndarray, q_nb: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class History:
-    """An attitude over time, to compare others with."""
+    """A reference attitude over time."""
 
     t: np.ndarray  # (n,) s, rising
     q_nb: np.ndarray  # (n, 4)
 
-    def then(self, t: np.ndarray, q_nb: np.ndarray, keep_s: float) -> "History":
-        """With more of it at the end, without what is more than `keep_s` before the last time there was."""
+    def extended(self, t: np.ndarray, q_nb: np.ndarray, keep_s: float) -> "History":
+        """Append newer samples and drop those more than `keep_s` older than the newest one so far."""
         kept = self.t > self.t[-1] - keep_s if len(self.t) else slice(0)
         return History(np.concatenate([self.t[kept], t]), np.concatenate([self.q_nb[kept], q_nb]))
 
-    def reached(self, t: np.ndarray) -> np.ndarray:
-        """Which of the times `t` (m,) there is something to compare at; the others have to wait."""
-        reached: np.ndarray = t <= (self.t[-1] if len(self.t) > 1 else -np.inf)
-        return reached
+    def covers(self, t: np.ndarray) -> np.ndarray:
+        """Mask the times `t` (m,) up to which the reference has come; an attitude can be interpolated there."""
+        covered: np.ndarray = t <= (self.t[-1] if len(self.t) > 1 else -np.inf)
+        return covered
 
     def at(self, t: np.ndarray) -> np.ndarray:
-        """`interpolate` to `t` (m,)."""
+        """Interpolate the attitude (m, 4) to times `t` (m,)."""
         return interpolate(self.t, self.q_nb, t)
 
 

@@ -9,15 +9,16 @@
 What goes where, and how exactly, is in `ahrs_sim.log.topics`.
 """
 
-import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import Self
 
 import numpy as np
 
-from ahrs_sim.evaluation import consistency, metrics
+from ahrs_sim.evaluation import metrics
+from ahrs_sim.evaluation.decimate import Decimator, RowDecimator, take
+from ahrs_sim.evaluation.evaluator import Comparison, Evaluator
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
 from ahrs_sim.log.mcap.writer import Listener, LogChannel, LogWriter
 from ahrs_sim.log.topics import (
@@ -45,32 +46,16 @@ from ahrs_sim.log.topics import (
 )
 from ahrs_sim.sensors.records import FixRecord, ImuRecord, MagRecord, Record
 from ahrs_sim.world import wgs84
-from estimators.types import Columns, Estimates
+from estimators.types import Estimates
 
 HOLD_S = 0.5
-"""How long after its own time a message may still come: sensors deliver late, estimates follow them."""
-
-_REMEMBERED_S = 5.0  # of the reference, longer than estimates lag behind it
-
-B = TypeVar("B", bound=Columns)
-
-
-class Every:
-    """Picks every k-th row of a stream that comes in blocks of any length."""
-
-    def __init__(self, k: float) -> None:
-        self.k = max(1, round(k))
-        self.seen = 0
-
-    def rows(self, n: int) -> np.ndarray:
-        """Which of the next `n` rows to take."""
-        first = -self.seen % self.k
-        self.seen += n
-        return np.arange(first, n, self.k)
+"""s after its own time in which a message may still come: sensors deliver late, estimates follow them."""
 
 
 class EstimateTopics:
-    """What estimators say, `/est/NAME/state` and `/est/NAME/imu`, into a log not started yet.
+    """Writes what estimators report under `/est/NAME`: state, attitude for viewers, and errors.
+
+    To be made before the log is started.
 
     Args:
         writer: of the log.
@@ -84,57 +69,47 @@ class EstimateTopics:
             name: [route.channel(writer, f"/est/{name}") for route in (STATE, ESTIMATED_IMU, ATTITUDE, ERRORS)]
             for name in names
         }
-        self._cell = dict.fromkeys(self._channels, -(2**62))  # of PLOT_RATE, the last one plotted
-        self._unjudged: dict[str, tuple[np.ndarray, ...]] = {}  # t, q_nb, down_b, att_cov the reference has not reached
-        self._reference = metrics.NOTHING
+        self._plotted = {name: Decimator(PLOT_RATE) for name in self._channels}
+        self._evaluator = Evaluator(self._write_errors, hold_s=HOLD_S)
 
     def reference(self, t: np.ndarray, q_nb: np.ndarray) -> None:
-        """What errors are taken against, before the estimates of that time: `t` (n,) s rising, `q_nb` (n, 4)."""
-        if len(t):
-            self._reference = self._reference.then(t, q_nb, _REMEMBERED_S)
+        """Extend the reference attitude `q_nb` (n, 4) at `t` (n,) s; call before the estimates of the same times."""
+        self._evaluator.add_reference(t, q_nb)
 
     def write(self, name: str, block: Estimates) -> None:
-        """A block of one estimator."""
+        """Write a block of one estimator."""
         if not len(block):
             return
         times = nanoseconds(self.epoch_ns, block.t)
         state, imu, _, _ = self._channels[name]
         self.writer.write(state, times, times, **STATE.columns(block))
-        self._plotted(name, block)
+        self._plot(name, block)
         known = np.isfinite(block.q_nb).all(axis=1)
         if known.any():
-            block, times = _picked(block, known), times[known]
+            block, times = take(block, known), times[known]
             covariance = np.nan_to_num(block.att_cov)
             self.writer.write(imu, times, times, orientation=block.q_nb, orientation_covariance=covariance)
 
-    def _plotted(self, name: str, block: Estimates) -> None:
-        """Attitudes and errors of a block, which may have to wait for their reference."""
-        _, _, attitude, errors = self._channels[name]
-        cell = np.floor(block.t * PLOT_RATE + 1e-6).astype(np.int64)
-        rows = np.flatnonzero(np.diff(cell, prepend=self._cell[name]))
-        self._cell[name] = int(cell[-1])
-        rows = rows[np.isfinite(block.down_b[rows]).all(axis=1)]
-        said: tuple[np.ndarray, ...] = block.t[rows], block.q_nb[rows], block.down_b[rows], block.att_cov[rows]
-        t, q_nb, down_b, att_cov = said
-        times = nanoseconds(self.epoch_ns, t)
-        roll, pitch = metrics.roll_pitch(down_b)
-        heading = np.mod(metrics.euler(q_nb)[:, 2], 2 * np.pi)
-        self.writer.write(attitude, times, times, roll=roll, pitch=pitch, heading=heading)
-
-        if name in self._unjudged:
-            said = tuple(np.concatenate(parts) for parts in zip(self._unjudged[name], said, strict=True))
-        t, q_nb, down_b, att_cov = said
-        wait = ~self._reference.reached(t)
-        self._unjudged[name] = tuple(column[wait & (t > t[-1:] - HOLD_S)] for column in said)
-        if wait.all():
+    def _plot(self, name: str, block: Estimates) -> None:
+        """Write attitudes at `PLOT_RATE`, and errors as soon as the reference is there."""
+        block = take(block, self._plotted[name].rows(block.t))
+        block = take(block, np.isfinite(block.down_b).all(axis=1))
+        if not len(block):
             return
-        truth = self._reference.at(t)
-        known = ~wait & np.isfinite(truth).all(axis=1)
-        t, q_nb, down_b, att_cov, truth = t[known], q_nb[known], down_b[known], att_cov[known], truth[known]
-        columns = dict(zip(metrics.MEASURES, metrics.attitude_errors(q_nb, down_b, truth).T, strict=True))
-        sigma = consistency.euler_sigma(q_nb, att_cov)
-        columns |= {f"{axis}_sigma": s for axis, s in zip(metrics.MEASURES, sigma.T, strict=False)}
-        times = nanoseconds(self.epoch_ns, t)
+        _, _, attitude, _ = self._channels[name]
+        times = nanoseconds(self.epoch_ns, block.t)
+        roll, pitch = metrics.roll_pitch(block.down_b)
+        heading = np.mod(metrics.euler(block.q_nb)[:, 2], 2 * np.pi)
+        self.writer.write(attitude, times, times, roll=roll, pitch=pitch, heading=heading)
+        self._evaluator.add(name, block)
+
+    def _write_errors(self, name: str, pair: Comparison) -> None:
+        known = np.isfinite(pair.reference).all(axis=1)
+        pair = Comparison(take(pair.estimates, known), pair.reference[known])
+        columns = dict(zip(metrics.MEASURES, pair.errors().T, strict=True))
+        columns |= {f"{axis}_sigma": s for axis, s in zip(metrics.MEASURES, pair.sigma().T, strict=False)}
+        _, _, _, errors = self._channels[name]
+        times = nanoseconds(self.epoch_ns, pair.estimates.t)
         self.writer.write(errors, times, times, **columns)
 
 
@@ -179,11 +154,11 @@ class FlightLog:
         self.epoch_ns = epoch_ns
         self.writer = writer = LogWriter(path, epoch_ns=epoch_ns, force=force, chunk_s=chunk_s, listener=listener)
         self._origin: np.ndarray | None = None
-        self._logged = Every(truth_rate / TRUTH_RATE)
-        self._moved = Every(truth_rate / TF_RATE)
-        self._fixed = Every(truth_rate / FIX_RATE)
-        self._plotted = Every(truth_rate / PLOT_RATE)
-        self._warmed: dict[str, Every] = {}
+        self._logged = RowDecimator(truth_rate / TRUTH_RATE)
+        self._moved = RowDecimator(truth_rate / TF_RATE)
+        self._fixed = RowDecimator(truth_rate / FIX_RATE)
+        self._plotted = RowDecimator(truth_rate / PLOT_RATE)
+        self._warmed: dict[str, RowDecimator] = {}
         self._saturated: dict[tuple[str, str], bool] = {}
 
         self._tf_static = self._frames(TF_STATIC)
@@ -204,7 +179,7 @@ class FlightLog:
                     self._status[key] = STATUS[instrument].channel(writer, f"/{suite}")
                 if instrument == "imu":
                     self._temperature[suite] = TEMPERATURE.channel(writer, f"/{suite}")
-                    self._warmed[suite] = Every(TEMPERATURE_EVERY)
+                    self._warmed[suite] = RowDecimator(TEMPERATURE_EVERY)
         self._estimates = EstimateTopics(writer, epoch_ns, estimators)
         for name, values in (metadata or {}).items():
             writer.metadata(name, values)
@@ -228,7 +203,7 @@ class FlightLog:
             self._origin = block.lla[0].copy()
         times = self._ns(block.t)
         rows = self._logged.rows(len(block))
-        logged = _picked(block, rows)
+        logged = take(block, rows)
         for route, channel in self._truth:
             columns = route.columns(logged)
             if route is ODOMETRY:
@@ -276,7 +251,7 @@ class FlightLog:
                 before = np.r_[self._saturated.get((suite, instrument), not block.saturated[0]), block.saturated[:-1]]
                 rows = np.flatnonzero(block.saturated != before)
                 self._saturated[suite, instrument] = bool(block.saturated[-1])
-            columns = STATUS[instrument].columns(_picked(block, rows))
+            columns = STATUS[instrument].columns(take(block, rows))
             self.writer.write(self._status[suite, instrument], arrival[rows], stamp[rows], **columns)
         if isinstance(block, ImuRecord):
             rows = self._warmed[suite].rows(len(block))
@@ -316,10 +291,6 @@ class FlightLog:
 
 
 _MEDIA = {".toml": "application/toml", ".xml": "application/xml", ".txt": "text/plain", ".json": "application/json"}
-
-
-def _picked(block: B, rows: np.ndarray) -> B:
-    return type(block)(*(getattr(block, f.name)[rows] for f in dataclasses.fields(block)))
 
 
 def _offset_n(lla: np.ndarray, origin: np.ndarray) -> np.ndarray:

@@ -6,13 +6,14 @@
 They come back bit for bit, but for what `ahrs_sim.log.topics` says is rounded.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import fields
 
 import numpy as np
 
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
-from ahrs_sim.log.mcap.reader import LogReader, stamps
+from ahrs_sim.log.mcap.reader import LogReader, quaternion, stamps, vector
 from ahrs_sim.log.topics import (
     EVENTS,
     HEARD,
@@ -156,6 +157,26 @@ class FlightReader(LogReader):
         STATE.put(columns, array)
         columns["t"][:] = self.seconds(stamps(array))
         return Estimates(**columns)
+
+    def estimates_in(self, messages: np.ndarray, columns: Collection[str]) -> Estimates:
+        """Estimates from messages of an estimator's state topic, only with columns that are needed.
+
+        Args:
+            messages: of a `/est/NAME/state`, as `blocks` gives them.
+            columns: names; the others are NaN, or zero. Numbers keep the type that they have in the log.
+        """
+        n = len(messages)
+        found: dict[str, np.ndarray] = {}
+        for f in fields(Estimates):
+            missing = np.array(np.nan if f.metadata["dtype"] is float else 0)
+            found[f.name] = np.broadcast_to(missing, (n, *f.metadata["shape"]))
+        for path, name in STATE.fields.items():
+            if name in columns:
+                values = messages[path]
+                if values.dtype.names:
+                    values = quaternion(values) if "w" in values.dtype.names else vector(values)
+                found[str(name)] = values.reshape(found[str(name)].shape)
+        return Estimates(**{**found, "t": self.seconds(stamps(messages))})
 
     def setpoints(self, start: float | None = None, end: float | None = None) -> Setpoints:
         """What the pilot asked for."""

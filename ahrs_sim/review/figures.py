@@ -120,7 +120,7 @@ def _consistency(figure: "Figure", flight: FlightTraces) -> "Figure":
                 e.coarse_t, -sigma, sigma, color="C0", alpha=0.4, linewidth=0, label="±3 sigma of the estimator"
             )
             _label(ax, f"{_AXES[k]} error, deg")
-        known = np.where(e.nees > 0.0, e.nees / 3, np.nan)
+        known = np.where(e.nees > 0.0, e.nees, np.nan)
         row[3].plot(*_thin(e.coarse_t, known), color="C3", linewidth=0.8)
         row[3].axhspan(low, high, color="C0", alpha=0.4, linewidth=0)
         row[3].set_yscale("log")

@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim.errors import InputError
-from ahrs_sim.evaluation import consistency, metrics
-from ahrs_sim.review import compare
+from ahrs_sim.evaluation import accuracy, consistency, metrics, phases
+from ahrs_sim.evaluation.metrics import EULER
+from ahrs_sim.evaluation.phases import PHASES
 from ahrs_sim.review.traces import COARSE, EstimatorTrace, FlightTraces, finding
 from estimators.types import Status
 
@@ -65,7 +66,7 @@ def page(flights: Sequence[FlightTraces]) -> str:
         rate = max(COARSE, 0.5 * rate)
     data = {
         "title": ", ".join(dict.fromkeys(f.metadata.get("flight", {}).get("scenario", f.label) for f in flights)),
-        "phases": compare.PHASES,
+        "phases": PHASES,
         "status": [s.name.lower() for s in Status],
         "runs": runs,
     }
@@ -274,11 +275,11 @@ def _suite(flight: FlightTraces, name: str, clock: _Clock) -> dict[str, Any]:
 
 def _estimator(flight: FlightTraces, e: EstimatorTrace, clock: _Clock, dt: float) -> dict[str, Any]:
     """What the page knows of an estimator: angles in deg, rates in deg/s."""
-    error = np.degrees(e.error[:, :3].astype(float))
+    error = np.degrees(e.error[:, EULER].astype(float))
     slow, ct = 1.0, e.coarse_t
     rate = min(COARSE, _rate(ct))
     with np.errstate(divide="ignore", invalid="ignore"):
-        nees = np.log10(np.maximum(e.nees / 3, 1e-6))
+        nees = np.log10(np.maximum(e.nees, 1e-6))
         nis = np.log10(np.maximum(e.nis / e.nis_freedom, 1e-6))
         low, high = (np.log10(b / e.nis_freedom) for b in consistency.chi_square_bounds(e.nis_freedom))
     seconds = np.arange(len(e.nis)) + 0.0
@@ -309,32 +310,20 @@ def _estimator(flight: FlightTraces, e: EstimatorTrace, clock: _Clock, dt: float
 
 
 def _summary(flight: FlightTraces, e: EstimatorTrace) -> dict[str, Any]:
-    """The row of an estimator in the table: statistics over all and by phase, and its honesty."""
-    phase = np.full(len(e.t), -1)
-    if len(flight.phase):
-        phase = flight.phase[np.clip(np.searchsorted(flight.truth_t, e.t - 1e-6), 0, len(flight.phase) - 1)]
-    known = np.isfinite(e.nees)
-    return {
-        **_plain(metrics.statistics(e.error)),
-        "available": float(np.mean(np.isfinite(e.error[:, 3]))),
-        "nees": _number(float(np.mean(e.nees[known]) / 3) if known.any() else math.nan),
-        "nis": _number(float(e.nis.sum() / e.nis_freedom.sum()) if e.nis_freedom.any() else math.nan),
-        "inside": _number(float(np.nanmean(e.inside)) if np.isfinite(e.inside).any() else math.nan),
-        "phases": {
-            name: _plain(metrics.statistics(e.error[phase == i]))
-            for i, name in enumerate(compare.PHASES)
-            if np.any(phase == i)
-        },
-    }
+    """The row of an estimator in the table: errors over all and by phase, and its consistency."""
+    errors = accuracy.summary([e.error], phases.at(flight.truth_t, flight.phase, e.t))
+    consistent = consistency.summary(e.nees, e.nis, e.nis_freedom, e.inside)
+    return _rounded({**errors, **{key: consistent[key] for key in ("nees", "nis", "inside")}})
+
+
+def _rounded(values: dict[str, Any]) -> dict[str, Any]:
+    """Numbers with as many digits as anybody needs."""
+    return {k: _rounded(v) if isinstance(v, dict) else v if v is None else _number(v) for k, v in values.items()}
 
 
 def _number(value: float) -> float | None:
     """JSON has no NaN, and nobody needs sixteen digits."""
     return float(f"{value:.5g}") if math.isfinite(value) else None
-
-
-def _plain(values: dict[str, float]) -> dict[str, float | None]:
-    return {k: _number(v) for k, v in values.items()}
 
 
 # ----------------------------------------------------------------------------------------------- a campaign
@@ -390,7 +379,7 @@ def _spread(flights: Sequence[FlightTraces], name: str, clock: _Clock, dt: float
     known = np.isfinite(nees)
     count = known.sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.log10(np.where(known, nees, 0.0).sum(axis=0) / count / 3)
+        mean = np.log10(np.where(known, nees, 0.0).sum(axis=0) / count)
         bounds = [np.log10(b) for b in consistency.mean_bounds(3, count)]
     summaries = [_summary(f, e) for f, e in zip(flights, traces, strict=True)]
     worst = max(range(len(flights)), key=lambda i: summaries[i]["tilt_rmse_deg"] or 0.0)
@@ -426,8 +415,8 @@ def _median_summary(summaries: list[dict[str, Any]]) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for key, value in summaries[0].items():
         if isinstance(value, dict):
-            phases = [name for name in value if all(name in s[key] for s in summaries)]
-            result[key] = {name: _median_summary([s[key][name] for s in summaries]) for name in phases}
+            shared = [name for name in value if all(name in s[key] for s in summaries)]
+            result[key] = {name: _median_summary([s[key][name] for s in summaries]) for name in shared}
         else:
             numbers = [s[key] for s in summaries if s[key] is not None]
             result[key] = _number(float(np.median(numbers))) if numbers else None

@@ -13,7 +13,11 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim.errors import InputError
-from ahrs_sim.evaluation import consistency, metrics
+from ahrs_sim.evaluation import metrics, phases
+from ahrs_sim.evaluation.decimate import Decimator, take
+from ahrs_sim.evaluation.evaluator import Comparison, Evaluator
+from ahrs_sim.evaluation.metrics import EULER, Measure
+from ahrs_sim.evaluation.phases import PHASES
 from ahrs_sim.flight.truth import Event
 from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.mcap.reader import quaternion, stamps, vector
@@ -34,6 +38,12 @@ LOST_DEG = 5.0
 
 LOST_S = 2.0
 """... for so long without a break."""
+
+
+_KEPT = ("gyro_bias", "gyro_bias_sigma", "accel_bias", "accel_bias_sigma", "adaptation", "status")
+"""Columns of the estimates that are drawn as they are, at `COARSE`."""
+
+_READ = {*_KEPT, "q_nb", "down_b", "att_cov", "lla", "innovation", "innovation_var"}
 
 
 @dataclass(frozen=True)
@@ -59,7 +69,7 @@ class EstimatorTrace:
     error: np.ndarray  # (n, 5) rad, order of metrics.MEASURES
     coarse_t: np.ndarray  # (m,) s, at COARSE or slower
     sigma: np.ndarray  # (m, 3) rad, of roll, pitch, heading
-    nees: np.ndarray  # (m,) of the attitude, 3 degrees of freedom
+    nees: np.ndarray  # (m,) of the attitude, per degree of freedom
     inside: np.ndarray  # (m,) 1 where every Euler error is inside of three sigma, 0 where not, NaN
     gyro_bias: np.ndarray  # (m, 3) rad/s
     gyro_bias_sigma: np.ndarray
@@ -76,7 +86,8 @@ class EstimatorTrace:
 
     def worst(self, flight: "FlightTraces") -> Worst | None:
         """The ten seconds with the largest root mean square error; None when there are not as many."""
-        total = self.error[:, 4] if np.isfinite(self.error[:, 4]).any() else self.error[:, 3]
+        total = self.error[:, Measure.TOTAL]
+        total = total if np.isfinite(total).any() else self.error[:, Measure.TILT]
         known = np.isfinite(total)
         t, squares = self.t[known], np.cumsum(np.r_[0.0, total[known].astype(float) ** 2])
         if len(t) < 10 or t[-1] - t[0] < WINDOW_S:
@@ -88,7 +99,7 @@ class EstimatorTrace:
         best = int(np.argmax(mean))
         start, end = float(t[best]), float(t[best]) + WINDOW_S
         rows = (self.t >= start) & (self.t <= end)
-        angles = np.sqrt(np.nanmean(np.nan_to_num(self.error[rows, :3].astype(float)) ** 2, axis=0))
+        angles = np.sqrt(np.nanmean(np.nan_to_num(self.error[rows, EULER].astype(float)) ** 2, axis=0))
         axis = int(np.argmax(angles))
         sigma = self.sigma[(self.coarse_t >= start) & (self.coarse_t <= end), axis]
         sigma = sigma[np.isfinite(sigma)]
@@ -104,7 +115,7 @@ class EstimatorTrace:
 
     def lost(self) -> float | None:
         """When the error first exceeded `LOST_DEG` and three sigma for `LOST_S`, s; None: never."""
-        error = np.abs(self.error[np.clip(np.searchsorted(self.t, self.coarse_t), 0, len(self.t) - 1), :3])
+        error = np.abs(self.error[np.clip(np.searchsorted(self.t, self.coarse_t), 0, len(self.t) - 1), EULER])
         limit = np.fmax(math.radians(LOST_DEG), 3 * self.sigma)
         with np.errstate(invalid="ignore"):
             wrong = (error > limit).any(axis=1)
@@ -137,7 +148,7 @@ class FlightTraces:
     truth_t: np.ndarray  # (k,) s
     position: np.ndarray  # (k, 3) m NED from where the flight began
     speed: np.ndarray  # (k,) m/s, true airspeed
-    phase: np.ndarray  # (k,) index into compare.PHASES
+    phase: np.ndarray  # (k,) index into phases.PHASES
     estimators: dict[str, EstimatorTrace]
     suites: dict[str, SuiteTrace]
     events: list[Event]
@@ -146,9 +157,8 @@ class FlightTraces:
 
     def phase_at(self, t: float) -> str:
         """Name of the phase at a time (s); empty where nobody knows."""
-        if not len(self.phase):
-            return ""
-        return compare.PHASES[self.phase[np.clip(np.searchsorted(self.truth_t, t), 0, len(self.phase) - 1)]]
+        found = int(phases.at(self.truth_t, self.phase, np.array([t]))[0])
+        return "" if found < 0 else PHASES[found]
 
     def step_at(self, t: float) -> str:
         """What the pilot was doing at a time (s), as the last event says; empty when none does."""
@@ -262,7 +272,7 @@ def _truth(log: FlightReader, columns: dict[str, dict[str, np.ndarray]]) -> tupl
         raise InputError(f"{log.path}: {compare.TRUTH_TOPIC} is empty: there is nothing to compare with")
     attitude, state, air = found
     t, q_nb = attitude["t"][:n], attitude["q_nb"][:n]
-    return t, q_nb, compare.phases(t, q_nb, state["vel_n"][:n], air["on_ground"][:n])
+    return t, q_nb, phases.classify(t, q_nb, state["vel_n"][:n], air["on_ground"][:n])
 
 
 def _origin(
@@ -278,47 +288,34 @@ def _origin(
 class _Gathering:
     """The columns of one estimator while they come in."""
 
-    def __init__(self, against: metrics.History, origin: np.ndarray) -> None:
-        self.against, self.origin = against, origin
+    def __init__(self, origin: np.ndarray) -> None:
+        self.origin = origin
         self.columns: dict[str, list[np.ndarray]] = {}
-        self.cell = -(2**62)
+        self.coarse = Decimator(COARSE)
 
-    def add(self, at: np.ndarray, messages: np.ndarray) -> None:
-        reference = self.against.at(at)
-        q_nb, down = quaternion(messages["orientation"]), vector(messages["down"])
-        self._put("t", at)
-        self._put("error", metrics.attitude_errors(q_nb, down, reference).astype(np.float32))
-        innovation, variance = messages["innovation"], messages["innovation_variance"]
-        squares, freedom = consistency.nis(innovation, variance)
-        self._put("nis", squares.astype(np.float32))
-        self._put("freedom", freedom.astype(np.float32))
+    def add(self, pair: Comparison) -> None:
+        """Take estimates with their reference."""
+        estimates = pair.estimates
+        squares, freedom = pair.nis()
         with np.errstate(invalid="ignore", divide="ignore"):
-            self._put("ratio", innovation / np.sqrt(variance))
-
-        cell = np.floor(at * COARSE + 1e-6).astype(np.int64)
-        rows = np.flatnonzero(np.diff(cell, prepend=self.cell))
-        self.cell = int(cell[-1])
-        some, q_nb, reference = messages[rows], q_nb[rows], reference[rows]
-        cov = some["attitude_covariance"].reshape(-1, 3, 3).astype(float)
-        lla = some["lla"]
-        position = np.full(lla.shape, np.nan)
-        located = np.isfinite(lla).all(axis=1) & np.isfinite(self.origin).all()
-        position[located] = wgs84.offset_n(lla[located], self.origin)
-        sigma = consistency.euler_sigma(q_nb, cov)
-        error = metrics.wrap(metrics.euler(q_nb) - metrics.euler(reference))
-        inside = np.where(np.isfinite(error + sigma), np.abs(error) <= 3 * sigma, np.nan).min(axis=1)
+            ratio = estimates.innovation / np.sqrt(estimates.innovation_var)
+        rows = self.coarse.rows(estimates.t)
+        some = Comparison(take(estimates, rows), pair.reference[rows])
+        position = np.full(some.estimates.lla.shape, np.nan)
+        located = np.isfinite(some.estimates.lla).all(axis=1) & np.isfinite(self.origin).all()
+        position[located] = wgs84.offset_n(some.estimates.lla[located], self.origin)
         for name, values in {
-            "coarse_t": at[rows],
-            "sigma": sigma,
-            "nees": consistency.attitude_nees(q_nb, cov, reference),
-            "inside": inside,
-            "gyro_bias": vector(some["gyro_bias"]),
-            "gyro_bias_sigma": some["gyro_bias_sigma"],
-            "accel_bias": vector(some["accel_bias"]),
-            "accel_bias_sigma": some["accel_bias_sigma"],
-            "adaptation": some["adaptation"],
-            "status": some["status"],
+            "t": estimates.t,
+            "error": pair.errors().astype(np.float32),
+            "nis": squares.astype(np.float32),
+            "freedom": freedom.astype(np.float32),
+            "ratio": ratio,
+            "coarse_t": some.estimates.t,
+            "sigma": some.sigma(),
+            "nees": some.nees(),
+            "inside": some.within(),
             "position": position,
+            **{name: getattr(some.estimates, name) for name in _KEPT},
         }.items():
             self._put(name, values)
 
@@ -354,13 +351,15 @@ def _estimators(
     high: float,
 ) -> dict[str, EstimatorTrace]:
     topics = {f"/est/{name}/state": name for name in against}
-    gathering = {name: _Gathering(history, origin) for name, (history, _) in against.items()}
+    gathering = {name: _Gathering(origin) for name in against}
+    evaluator = Evaluator(
+        lambda name, pair: gathering[name].add(pair), against={name: history for name, (history, _) in against.items()}
+    )
     for block in log.blocks(list(topics)):
         for topic, messages in block.items():
             at = log.seconds(stamps(messages))
             within = (at >= low - 1e-3) & (at <= high + 1e-3)
-            if within.any():
-                gathering[topics[topic]].add(at[within], messages[within])
+            evaluator.add(topics[topic], log.estimates_in(messages[within], _READ))
     suite = {name: log.metadata.get(f"estimator {name}", {}).get("suite", "") for name in gathering}
     return {name: g.trace(name, suite[name], against[name][1]) for name, g in gathering.items() if g.columns}
 
@@ -370,8 +369,8 @@ def _suite(
 ) -> SuiteTrace:
     none = {"t": np.empty(0)}
     errors, status, fixes = (columns.get(t, none) for t in (f"/{suite}/imu/errors", f"/{suite}/gps/status", fix))
-    cell = np.floor(errors["t"] * COARSE + 1e-6)
-    rows = np.flatnonzero((np.diff(cell, prepend=-np.inf) != 0) & (errors["t"] >= low) & (errors["t"] <= high))
+    rows = Decimator(COARSE).rows(errors["t"])
+    rows = rows[(errors["t"][rows] >= low) & (errors["t"][rows] <= high)]
     heard = (status["t"] >= low) & (status["t"] <= high)
     lla = fixes.get("lla", np.empty((0, 3)))
     lla = lla[np.isfinite(lla).all(axis=1) & (fixes["t"] >= low) & (fixes["t"] <= high)]

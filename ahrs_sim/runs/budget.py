@@ -18,7 +18,8 @@ import numpy as np
 from ahrs_sim import replay
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.errors import FlightError, InputError, nearest
-from ahrs_sim.evaluation import metrics
+from ahrs_sim.evaluation.evaluator import Comparison, Evaluator
+from ahrs_sim.evaluation.metrics import Measure
 from ahrs_sim.flight import open_flight
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.pipeline import site_of
@@ -252,32 +253,38 @@ class _Squares:
 
 
 class _Variant:
-    """A suite with some of its errors, and the estimator that listens to it."""
+    """A suite with some of its errors, and the estimator on it."""
 
-    def __init__(self, suite: Suite, component: Component, site: Site, told: SensorInfo) -> None:
-        self._suite, self._assembler, self._told = suite, Assembler(), told
+    def __init__(
+        self, suite: Suite, component: Component, site: Site, sheet: SensorInfo, span: tuple[float, float]
+    ) -> None:
+        self._suite, self._assembler, self._sheet, self._span = suite, Assembler(), sheet, span
         delays = ("gyro_delay", "accel_delay", "mag_delay")  # declared, so compensated as they are
-        info = dataclasses.replace(told, **{name: getattr(suite.info, name) for name in delays})
+        info = dataclasses.replace(sheet, **{name: getattr(suite.info, name) for name in delays})
         self._estimator = replay.create(component, site, info)
+        self._evaluator = Evaluator(self._sum)
         self.squares = _Squares(np.zeros(2), np.zeros(2), (math.inf, -math.inf))
 
-    def process(self, truth: Truth, history: Truth, span: tuple[float, float]) -> None:
-        """A block of the flight; `history` reaches back to what may only be arriving now."""
+    def fly(self, truth: Truth) -> None:
+        """Measure a block of the flight, estimate, and add the errors up."""
+        self._evaluator.add_reference(truth.t, truth.q_nb)
         samples: Samples = self._assembler.process(self._suite.process(truth))
         if not len(samples):
             return
-        sigma = np.where(np.isfinite(samples.heading_sigma), self._told.heading, np.nan)
+        sigma = np.where(np.isfinite(samples.heading_sigma), self._sheet.heading, np.nan)
         estimates = self._estimator.process(dataclasses.replace(samples, heading_sigma=sigma))
-        within = (estimates.t >= span[0]) & (estimates.t <= span[1])
-        reference = metrics.interpolate(history.t, history.q_nb, estimates.t)
-        errors = metrics.attitude_errors(estimates.q_nb, estimates.down_b, reference)[within]
-        errors = errors[:, [metrics.MEASURES.index("tilt"), metrics.MEASURES.index("heading")]]
+        self._evaluator.add("", estimates)
+
+    def _sum(self, _: str, pair: Comparison) -> None:
+        t = pair.estimates.t
+        within = (t >= self._span[0]) & (t <= self._span[1])
+        errors = pair.errors()[within][:, [Measure.TILT, Measure.HEADING]]
         known = np.isfinite(errors)
         s = self.squares
         s.total += np.sum(np.where(known, errors, 0.0) ** 2, axis=0)
         s.count += known.sum(axis=0)
         if known.any():
-            t = estimates.t[within][known.any(axis=1)]
+            t = t[within][known.any(axis=1)]
             s.span = min(s.span[0], float(t[0])), max(s.span[1], float(t[-1]))
 
 
@@ -299,22 +306,19 @@ def _of_seed(
 
     grade: Any = None
     whole = fit([])
-    grade, told = whole.grade, whole.info
+    grade, sheet = whole.grade, whole.info
     names = [name for name in TERMS if _stated(carried, whole, name)]
     variants = {
-        (ALL, ""): _Variant(whole, component, site, told),
-        (NONE, ""): _Variant(fit(names), component, site, told),
+        (ALL, ""): _Variant(whole, component, site, sheet, span),
+        (NONE, ""): _Variant(fit(names), component, site, sheet, span),
     }
     for name in names:
-        variants[NONE, name] = _Variant(fit([n for n in names if n != name]), component, site, told)
-        variants[ALL, name] = _Variant(fit([name]), component, site, told)
+        variants[NONE, name] = _Variant(fit([n for n in names if n != name]), component, site, sheet, span)
+        variants[ALL, name] = _Variant(fit([name]), component, site, sheet, span)
     rows = max(1, round(BLOCK_S * scenario.rate))
-    before: list[Truth] = []
     while len(truth := flight.process(rows)):
-        history = Truth.concatenate([*before, truth])
         for variant in variants.values():
-            variant.process(truth, history, span)
-        before = [truth]
+            variant.fly(truth)
         progress(float(truth.t[-1]), scenario.duration or flight.expected_duration)
     if flight.error:
         raise FlightError(f"{scenario.where}: seed {scenario.seed}: {flight.error}")

@@ -46,6 +46,8 @@ import numpy as np
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.errors import CheckError, InputError
 from ahrs_sim.evaluation.bootstrap import interval
+from ahrs_sim.evaluation.metrics import MEASURES
+from ahrs_sim.evaluation.phases import PHASES
 from ahrs_sim.runs import pool as flights
 from ahrs_sim.runs.pool import Run
 from ahrs_sim.scenario.shipped import scenario_dir
@@ -54,8 +56,8 @@ from ahrs_sim.scenario.table import Table, read_toml
 STANDARD = Path(__file__).parents[2] / "tests" / "baselines" / "standard.toml"
 """The project's own suite; in a checkout only."""
 
-PHASES = ("all", "ground", "straight", "turning", "transient")
-AXES = ("roll", "pitch", "heading", "tilt", "total")
+ALL = "all"
+"""The whole flight, beside its phases."""
 
 SAME, BETTER, WORSE, NEW, GONE = "same", "better", "worse", "new", "gone"
 
@@ -278,9 +280,9 @@ def fly(
 def _judged(values: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
     """The figures that a baseline holds, of a flat row."""
     yield "all.availability", float(values["availability"])
-    for phase in PHASES:
-        for axis in AXES:
-            value = values.get(f"{axis}_rmse_deg" if phase == "all" else f"{phase}.{axis}_rmse_deg", math.nan)
+    for phase in (ALL, *PHASES):
+        for axis in MEASURES:
+            value = values.get(f"{axis}_rmse_deg" if phase == ALL else f"{phase}.{axis}_rmse_deg", math.nan)
             if math.isfinite(value):
                 yield f"{phase}.{axis}", float(value)
 

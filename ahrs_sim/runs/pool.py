@@ -72,11 +72,11 @@ def fly(run: Run) -> Outcome:
 
 def _flown(scenario: Scenario, log: Path | None, band_s: float | None) -> dict[str, dict[str, Any]]:
     from ahrs_sim import pipeline
-    from ahrs_sim.review import compare
+    from ahrs_sim.evaluation.accuracy import Accuracy
 
-    judge = compare.Judge([e.name for e in scenario.estimators], honesty=band_s is not None)
-    pipeline.fly(scenario, log, judge=judge, force=True)
-    result = judge.result(band_s=band_s)
+    accuracy = Accuracy([e.name for e in scenario.estimators], with_consistency=band_s is not None)
+    pipeline.fly(scenario, log, accuracy=accuracy, force=True)
+    result = accuracy.result(band_s=band_s)
     return {name: flat(values) for name, values in result["estimators"].items()}
 
 

@@ -54,11 +54,15 @@ def test_nees_of_a_consistent_estimator() -> None:
     values = consistency.attitude_nees(estimate, cov, truth)
     low, high = consistency.mean_bounds(3, len(values), 0.999)
     assert low < values.mean() / 3 < high
-    result = consistency.summary(estimate, cov, np.full((4000, 2), np.nan), np.full((4000, 2), np.nan), truth)
+    error = metrics.wrap(metrics.euler(estimate) - metrics.euler(truth))
+    inside = consistency.within(error, consistency.euler_sigma(estimate, cov))
+    nothing = consistency.nis(np.full((4000, 2), np.nan), np.full((4000, 2), np.nan))
+    result = consistency.summary(values / 3, *nothing, inside)
     assert result["nees_inside"] == pytest.approx(0.95, abs=0.015)
-    assert result["sigma3_inside"] > 0.985
+    assert result["inside"] > 0.985
     assert np.isnan(result["nis"])
-    boast = consistency.summary(estimate, cov / 9, np.ones((4000, 2)), np.ones((4000, 2)), truth)
+    ones = consistency.nis(np.ones((4000, 2)), np.ones((4000, 2)))
+    boast = consistency.summary(consistency.attitude_nees(estimate, cov / 9, truth) / 3, *ones)
     assert boast["nees"] == pytest.approx(9 * result["nees"])
     assert boast["nis"] == 1
 

@@ -96,13 +96,13 @@ def test_other_estimators_on_request(flown: Path, tmp_path: Path, capsys: pytest
 def test_without_a_new_log_the_figures_are_the_same(flown: Path, tmp_path: Path) -> None:
     replay.replay(flown, tmp_path / "again.mcap")
     kept = replay.accuracy(tmp_path / "again.mcap", start=21.0)
-    found = replay.judge(flown, start=21.0)
+    found = replay.evaluate(flown, start=21.0)
     assert kept is not None
     assert found is not None
     assert list(found["estimators"]) == ["ekf-chr", "ckf-chr", "ekf-sbg"]
     assert found | {"log": ""} == kept | {"log": ""}
     with pytest.raises(InputError, match="the log spans"):
-        replay.judge(flown, start=30.0)
+        replay.evaluate(flown, start=30.0)
 
 
 def test_what_estimators_are_told_survives_exactly(flown: Path) -> None:

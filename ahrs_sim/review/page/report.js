@@ -445,7 +445,7 @@
           return element("td", { textContent: digits(s[key]), className: (i ? "" : "gap ") + (s[key] != null && s[key] <= best(key) && estimators.length > 1 ? "best" : "") });
         })),
         element("td", { textContent: percent(s.inside) }), element("td", { textContent: digits(s.nees) }), element("td", { textContent: digits(s.nis) }),
-        element("td", { textContent: percent(s.available) })));
+        element("td", { textContent: percent(s.availability) })));
       const say = element("td", { colSpan: 18 }, e.finding + " ");
       if (e.worst) {
         const link = element("button", { className: "link", textContent: "show" });

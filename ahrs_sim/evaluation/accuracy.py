@@ -1,0 +1,176 @@
+"""Accuracy of estimators over a flight: errors by measure and phase, gathered while truth and estimates come in."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ahrs_sim.evaluation import consistency, metrics, phases
+from ahrs_sim.evaluation.decimate import Decimator
+from ahrs_sim.evaluation.evaluator import Comparison, Evaluator
+from ahrs_sim.evaluation.metrics import History, Measure
+from ahrs_sim.evaluation.phases import PHASE_RATE, PHASES
+from estimators.types import Estimates
+
+LATE_S = 2.0
+"""s that an estimate may come after the truth of its instant: sensors deliver late."""
+
+
+class Accuracy:
+    """Gathers errors of estimators against the truth, during a flight or out of its log.
+
+    Blocks may have any length, but the truth of an instant has to come at most `LATE_S` before the estimates of it.
+    Only errors are kept (float32), so memory hardly grows with the flight.
+
+    Args:
+        names: of the estimators, in the order of the result.
+        against: references by estimator instead of the truth, which then only gives the phases.
+        with_consistency: keep NEES and NIS, too.
+    """
+
+    def __init__(
+        self, names: Iterable[str], *, against: Mapping[str, History] | None = None, with_consistency: bool = False
+    ) -> None:
+        self._against = against
+        self._with_consistency = with_consistency
+        self._parts: dict[str, list[tuple[np.ndarray, ...]]] = {name: [] for name in names}
+        self._evaluator = Evaluator(self._keep, against=against, keep_s=LATE_S)
+        self._coarse: list[tuple[np.ndarray, ...]] = []  # truth for the phases
+        self._decimator = Decimator(PHASE_RATE)
+        self._times = np.empty(0)
+
+    def add_truth(self, t: np.ndarray, q_nb: np.ndarray, vel_n: np.ndarray, on_ground: np.ndarray) -> None:
+        """Extend the truth: s, rising; (n, 4); (n, 3) m/s NED; weight on the wheels."""
+        if not len(t):
+            return
+        t = _whole_ns(t)
+        rows = self._decimator.rows(t)
+        self._coarse.append((t[rows], q_nb[rows].astype(np.float32), vel_n[rows].astype(np.float32), on_ground[rows]))
+        self._evaluator.add_reference(t, q_nb)
+
+    def add_estimates(self, name: str, block: Estimates) -> None:
+        """Take a block of an estimator."""
+        if len(block):
+            self._evaluator.add(name, replace(block, t=_whole_ns(block.t)))
+
+    def _keep(self, name: str, pair: Comparison) -> None:
+        t = pair.estimates.t
+        errors = pair.errors().astype(np.float32)
+        columns = np.empty((len(t), 0), np.float32)
+        if self._with_consistency:
+            columns = np.column_stack([pair.nees(), *pair.nis()]).astype(np.float32)
+        if np.array_equal(t, self._times):  # of the estimator before: one array for both
+            t = self._times
+        self._times = t
+        self._parts[name].append((t, errors, columns))
+
+    def span(self) -> tuple[float, float]:
+        """Find the first and last time (s) with a reference; (inf, -inf) when there is none."""
+        if self._against is not None:
+            ends = [(h.t[0], h.t[-1]) for h in self._against.values()]
+        else:
+            ends = [(p[0][0], self._evaluator.reached) for p in self._coarse[:1]]
+        return min((float(a) for a, _ in ends), default=math.inf), max((float(b) for _, b in ends), default=-math.inf)
+
+    def result(
+        self, reference: str = "truth", *, low: float = -math.inf, high: float = math.inf, band_s: float | None = None
+    ) -> dict[str, Any]:
+        """Summarise the span from `low` to `high` (s).
+
+        Args:
+            reference: what the errors are taken against, for the result.
+            low, high: s of flight.
+            band_s: also the RMSE of every so many seconds, and mean NEES and NIS.
+
+        Returns:
+            What `review.compare.compare` returns, but for the name of the log.
+        """
+        first, last = self.span()
+        t_phase, phase = np.empty(0), np.empty(0, np.int8)
+        if sum(len(part[0]) for part in self._coarse) >= 2:
+            t_phase, q_nb, vel_n, on_ground = (np.concatenate(c) for c in zip(*self._coarse, strict=True))
+            phase = phases.classify(t_phase, q_nb, vel_n, on_ground).astype(np.int8)
+        found = {}
+        for name, parts in self._parts.items():
+            t, errors, columns = _within(parts, low, high)
+            found[name] = summary(errors, phases.at(t_phase, phase, t))
+            if band_s is not None:
+                found[name] |= _details(t, errors, np.concatenate([np.empty((0, 3)), *columns]), band_s)
+        return {
+            "reference": reference,
+            "from_s": max(low, first),
+            "to_s": min(high, last),
+            "estimators": found,
+        }
+
+
+Parts = Sequence[np.ndarray]
+"""Pieces of an array (n, 5), joined column by column: a long flight's errors should not be in memory twice."""
+
+
+def summary(errors: Parts, phase: np.ndarray) -> dict[str, Any]:
+    """Summarise errors: `metrics.figures` of every measure, "availability", and the same by phase.
+
+    Args:
+        errors: pieces of (n, 5) rad, columns by `metrics.Measure`.
+        phase: (n,) index into `PHASES`; -1: not known.
+
+    Returns:
+        None stands for a figure that is not known.
+    """
+    present = [i for i in range(len(PHASES)) if np.any(phase == i)]
+    found: dict[str, Any] = {}
+    by_phase: dict[str, dict[str, Any]] = {PHASES[i]: {} for i in present}
+    for measure, name in zip(Measure, metrics.MEASURES, strict=True):
+        values = _column(errors, measure)
+        found |= _finite(metrics.figures(name, values))
+        for i in present:
+            by_phase[PHASES[i]] |= _finite(metrics.figures(name, values[phase == i]))
+        if measure is Measure.TILT:
+            found["availability"] = float(np.mean(np.isfinite(values))) if len(values) else 0.0
+    for i in present:
+        by_phase[PHASES[i]]["samples"] = int(np.sum(phase == i))
+    return {**found, "phases": by_phase}
+
+
+def _whole_ns(t: np.ndarray) -> np.ndarray:
+    """Round times (s) as a log keeps them, so that a flight and its log give the same figures."""
+    whole: np.ndarray = np.rint(t * 1e9) / 1e9
+    return whole
+
+
+def _within(parts: list[tuple[np.ndarray, ...]], low: float, high: float) -> tuple[np.ndarray, Parts, Parts]:
+    """Cut a span out: times (n,), and the pieces of errors and consistency."""
+    times, errors, columns = [np.empty(0)], [], []
+    for t, e, c in parts:
+        rows = slice(int(np.searchsorted(t, low, "left")), int(np.searchsorted(t, high, "right")))
+        times.append(t[rows])
+        errors.append(e[rows])
+        columns.append(c[rows])
+    return np.concatenate(times), errors, columns
+
+
+def _column(errors: Parts, measure: Measure) -> np.ndarray:
+    """Join one measure of all pieces, (n,) rad."""
+    return np.concatenate([np.empty(0, np.float32), *(e[:, measure] for e in errors)])
+
+
+def _details(t: np.ndarray, errors: Parts, columns: np.ndarray, band_s: float) -> dict[str, Any]:
+    """Compute mean NEES and NIS, and tilt and heading RMSE (deg) of each `band_s` since t = 0."""
+    consistent = consistency.summary(*columns.T)
+    number = np.floor(t / band_s + 1e-6).astype(int)
+    bands: dict[str, list[float | None]] = {}
+    for measure in (Measure.TILT, Measure.HEADING):
+        squares = np.degrees(_column(errors, measure).astype(float)) ** 2
+        finite = np.isfinite(squares) & (number >= 0)
+        count = np.bincount(number[finite])
+        total = np.bincount(number[finite], squares[finite])
+        bands[metrics.MEASURES[measure]] = [math.sqrt(x / n) if n else None for x, n in zip(total, count, strict=True)]
+    return {**_finite({key: consistent[key] for key in ("nees", "nis")}), "bands": bands}
+
+
+def _finite(values: dict[str, float]) -> dict[str, float | None]:
+    """Replace NaN, which JSON has not, by None."""
+    return {k: v if math.isfinite(v) else None for k, v in values.items()}
