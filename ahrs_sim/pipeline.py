@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import estimators
-from ahrs_sim.errors import FlightError, InputError
+from ahrs_sim.errors import FlightError
 from ahrs_sim.evaluation.decimate import RowDecimator
 from ahrs_sim.flight import BLOCK_S, Flight, open_flight
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
 from ahrs_sim.log.flight_log import FlightLog
 from ahrs_sim.log.mcap.writer import Listener
 from ahrs_sim.log.topics import TRUTH_RATE
-from ahrs_sim.scenario import Component, Scenario
+from ahrs_sim.scenario import Scenario, create_estimator
 from ahrs_sim.sensors import Assembler, Suite, make_suite
 from ahrs_sim.sensors.faults import check_suites
 from ahrs_sim.sensors.records import Record
@@ -235,18 +235,12 @@ def _chains(scenario: Scenario, site: Site, flight: Flight) -> list[Chain]:
             faults=scenario.faults,
         )
         listening = {
-            e.name: _estimator(e, site, suite) for e in scenario.estimators if e.settings["suite"] == suite.name
+            e.name: create_estimator(e, site, suite.info)
+            for e in scenario.estimators
+            if e.settings["suite"] == suite.name
         }
         chains.append(Chain(suite, Assembler(), listening))
     return chains
-
-
-def _estimator(component: Component, site: Site, suite: Suite) -> estimators.Estimator:
-    settings = {k: v for k, v in component.settings.items() if k not in ("method", "suite")}
-    try:
-        return estimators.create(component.settings["method"], site=site, sensors=suite.info, **settings)
-    except estimators.SettingError as error:
-        raise InputError(f"{component.where}: {error}") from None
 
 
 def _rows_per_sample(scenario: Scenario, chains: list[Chain]) -> int:

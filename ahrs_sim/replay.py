@@ -14,20 +14,20 @@ from typing import Any
 
 import numpy as np
 
-import estimators as library
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.errors import InputError
 from ahrs_sim.log.flight_log import EstimateTopics
 from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.mcap.writer import CarriedChannel, Listener, LogWriter
 from ahrs_sim.log.topics import INSTRUMENTS, REFERENCE
-from ahrs_sim.scenario import Component
+from ahrs_sim.scenario import Component, Gate, create_estimator
 from ahrs_sim.sensors.assemble import Assembler
 from ahrs_sim.sensors.records import SuiteBlock, within
 from estimators.types import SensorInfo, Site
 
 SCENARIO = "scenario.toml"
 
+_FOREIGN = Gate()
 _HOLD_S = 1.5
 """How much older than the estimates already written a record, a reference or an estimate may still be, s."""
 
@@ -65,6 +65,7 @@ def replay(
     only_estimates: bool = False,
     force: bool = False,
     live: Listener | None = None,
+    gate: Gate = _FOREIGN,
     progress: Callable[[float, float | None], None] = lambda t, end: None,
 ) -> list[str]:
     """Run estimators on a recording into a new log.
@@ -82,6 +83,7 @@ def replay(
         only_estimates: carry nothing along but the truth.
         force: replace an existing log.
         live: is given every message of the new log, too (see `ahrs_sim.log.live`).
+        gate: what code from outside the recording or the map may run, besides that of `estimators`.
         progress: called with the time reached and the end, s.
 
     Returns:
@@ -103,12 +105,14 @@ def replay(
             if not foreign:
                 if map_file or calibrate or sync:
                     raise InputError(f"{path}: a log of ours needs no --map, --calibrate or --sync; leave them out")
-                _run(_cut(of_flight(log, estimators), *span), output, prefixes, force, progress, live)
+                _run(_cut(of_flight(log, estimators, gate=gate), *span), output, prefixes, force, progress, live)
                 return []
     from ahrs_sim.recordings.mapping import SUITE
     from ahrs_sim.recordings.recording import open_bag
 
-    with open_bag(path, map_file=map_file, calibrate=calibrate, sync=sync, names=estimators, span=span) as bag:
+    with open_bag(
+        path, map_file=map_file, calibrate=calibrate, sync=sync, names=estimators, span=span, gate=gate
+    ) as bag:
         reader = getattr(bag.source, "reader", None)
         records = [i for i in bag.instruments if i in INSTRUMENTS]
         recording = Recording(
@@ -157,6 +161,7 @@ def evaluate(
     estimators: Sequence[str] = (),
     start: float | None = None,
     end: float | None = None,
+    gate: Gate = _FOREIGN,
     progress: Callable[[float, float | None], None] = lambda t, end: None,
 ) -> dict[str, Any] | None:
     """Errors of estimators on a log of ours, as `replay` and `accuracy` give them, without a new log.
@@ -179,7 +184,7 @@ def evaluate(
         def truth(messages: Mapping[str, np.ndarray]) -> None:
             compare.read_truth_into(errors, log, messages)
 
-        recording = of_flight(log, estimators, truth, *topics)
+        recording = of_flight(log, estimators, truth, *topics, gate=gate)
         errors = Accuracy([c.name for c in recording.estimators])
         chains = _chains(recording)
         for blocks in recording.blocks:
@@ -209,6 +214,7 @@ def of_flight(
     names: Sequence[str] = (),
     beside: Callable[[dict[str, np.ndarray]], None] | None = None,
     *topics: str,
+    gate: Gate = _FOREIGN,
 ) -> Recording:
     """A log of ours: scenario, site and data sheets from its attachments and metadata; `FlightReader.suite_blocks`.
 
@@ -219,7 +225,7 @@ def of_flight(
         data = tomllib.loads(log.attachment(SCENARIO).decode())
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"{log.path}: damaged: {SCENARIO}: {error}") from None
-    scenario = scenarios.parse(data, str(log.path), log.path.stem, estimators=names)
+    scenario = scenarios.parse(data, str(log.path), log.path.stem, estimators=names, gate=gate)
     components = scenario.estimators
     suites = list(dict.fromkeys(str(c.settings["suite"]) for c in components))
     if not components:
@@ -248,25 +254,12 @@ def _known(log: FlightReader, name: str, cls: Any) -> Any:
         ) from None
 
 
-def create(component: Component, site: Site, sensors: SensorInfo) -> Any:
-    """The estimator of an `[estimator.NAME]` table.
-
-    Raises:
-        InputError: an unknown method or setting: where, which, what to do.
-    """
-    settings = {k: v for k, v in component.settings.items() if k not in ("method", "suite")}
-    try:
-        return library.create(component.settings["method"], site=site, sensors=sensors, **settings)
-    except library.SettingError as error:
-        raise InputError(f"{component.where}: {error}") from None
-
-
 def _chains(recording: Recording) -> dict[str, tuple[Assembler, dict[str, Any]]]:
     """By suite: what makes samples, and the estimators that see them, by name."""
     chains: dict[str, tuple[Assembler, dict[str, Any]]] = {suite: (Assembler(), {}) for suite in recording.sensors}
     for component in recording.estimators:
         suite = component.settings["suite"]
-        chains[suite][1][component.name] = create(component, recording.site, recording.sensors[suite])
+        chains[suite][1][component.name] = create_estimator(component, recording.site, recording.sensors[suite])
     return chains
 
 

@@ -5,7 +5,8 @@
 
 A class of your own joins as `create("package.module:Class")` or under a name of the entry-point group
 `ahrs_sim.estimators`; it is made with `Class(site=..., sensors=..., **settings)` and needs a method `process(samples)
--> Estimates`.
+-> Estimates`. `create` imports what its caller names; names that come from a file of somebody else are the caller's to
+check (`ahrs_sim.scenario.code` does so for the whole test bench).
 """
 
 import importlib
@@ -303,7 +304,7 @@ def describe() -> list[Method]:
 def _found(point: metadata.EntryPoint) -> Method:
     try:
         made = point.load()
-    except (ImportError, AttributeError) as error:
+    except Exception as error:  # of a package that is broken; the others can be listed all the same
         return Method(point.name, f"cannot be loaded: {error}", "", "", point.value, {}, own=False)
     text = (made.__doc__ or "").strip().partition("\n")[0].removesuffix(".")
     source, package = (str(getattr(made, told, "")) for told in ("SOURCE", "PACKAGE"))
@@ -343,24 +344,28 @@ def _create(method: Method, site: Site, sensors: SensorInfo, settings: Mapping[s
 
 
 def _create_foreign(name: str, site: Site, sensors: SensorInfo, settings: Mapping[str, Any]) -> "Estimator":
-    points = [point for point in metadata.entry_points(group=GROUP) if point.name == name]
-    try:
-        if points:
-            made = points[0].load()
-        elif ":" in name:
-            module, _, attribute = name.partition(":")
-            made = getattr(importlib.import_module(module), attribute)
-        else:
-            raise SettingError(f"no estimator '{name}'{nearest(name, names())}")
-    except (ImportError, AttributeError) as error:
-        raise SettingError(f"estimator '{name}' cannot be loaded: {error}") from error
+    made = _loaded(name)
+    if not (isinstance(made, type) and callable(getattr(made, "process", None))):  # before anything is called
+        raise SettingError(f"estimator '{name}' is not a class with a method 'process(samples)'")
     try:
         estimator = made(site=site, sensors=sensors, **settings)
     except TypeError as error:
         raise SettingError(f"estimator '{name}': {error}") from error
-    if not callable(getattr(estimator, "process", None)):
-        raise SettingError(f"estimator '{name}' has no method 'process(samples)'")
     return cast("Estimator", estimator)
+
+
+def _loaded(name: str) -> Any:
+    """The object of an entry point, or the one named `package.module:Class`."""
+    points = [point for point in metadata.entry_points(group=GROUP) if point.name == name]
+    module, colon, attribute = name.partition(":")
+    if not points and not colon:
+        raise SettingError(f"no estimator '{name}'{nearest(name, names())}")
+    if not points and not all(part.isidentifier() for part in [*module.split("."), attribute]):
+        raise SettingError(f"estimator '{name}' is not written package.module:Class")
+    try:
+        return points[0].load() if points else getattr(importlib.import_module(module), attribute)
+    except Exception as error:  # whatever the module does when it is imported
+        raise SettingError(f"estimator '{name}' cannot be loaded: {error or type(error).__name__}") from error
 
 
 def _check_given(site: Site, sensors: SensorInfo) -> None:

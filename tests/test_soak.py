@@ -8,7 +8,7 @@ from ahrs_sim import scenario as scenarios
 from ahrs_sim.evaluation import metrics
 from ahrs_sim.flight import open_flight
 from ahrs_sim.pipeline import site_of
-from ahrs_sim.replay import create
+from ahrs_sim.scenario import create_estimator as create
 from ahrs_sim.sensors import Assembler, make_suite
 from estimators import Status
 

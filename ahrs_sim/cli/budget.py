@@ -4,7 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
-from ahrs_sim.cli.common import Commands, Progress, add_span, count, natural, positive
+from ahrs_sim.cli.common import Commands, Progress, add_span, count, gate, natural, positive
 
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
@@ -28,7 +28,9 @@ def run(arguments: argparse.Namespace) -> None:
     from ahrs_sim import scenario as scenarios
     from ahrs_sim.runs import budget
 
-    scenario = scenarios.load(arguments.scenario, seed=arguments.seed, duration=arguments.duration)
+    scenario = scenarios.load(
+        arguments.scenario, seed=arguments.seed, duration=arguments.duration, gate=gate(scenarios.ANY)
+    )
     unit = "s" if arguments.seeds == 1 else "flights"
     made = budget.make(
         scenario,

@@ -4,7 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
-from ahrs_sim.cli.common import Commands, Progress, add_estimators, count, natural, positive
+from ahrs_sim.cli.common import Commands, Progress, add_estimators, count, gate, natural, positive
 from ahrs_sim.errors import InputError
 
 
@@ -48,7 +48,11 @@ def run(arguments: argparse.Namespace) -> int:
     from ahrs_sim.runs import pool as pools
 
     scenario = scenarios.load(
-        arguments.scenario, seed=arguments.seed, duration=arguments.duration, estimators=arguments.estimator
+        arguments.scenario,
+        seed=arguments.seed,
+        duration=arguments.duration,
+        estimators=arguments.estimator,
+        gate=gate(scenarios.ANY, arguments.quiet),
     )
     plan = campaign.Plan.make(scenario, arguments.runs, arguments.vary)
     keep = _worst(arguments.keep_logs, arguments.runs)

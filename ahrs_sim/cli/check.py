@@ -4,7 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
-from ahrs_sim.cli.common import Commands, Progress, count
+from ahrs_sim.cli.common import Commands, Progress, add_code, count, gate
 from ahrs_sim.errors import InputError
 
 
@@ -16,6 +16,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument("suite", nargs="?", help="a TOML file (default: the standard suite in tests/baselines)")
     command.add_argument("--renew", action="store_true", help="make the present accuracy the baseline; needs --why")
     command.add_argument("--why", metavar="TEXT", help="the reason, kept in the baseline's history")
+    add_code(command)
     command.add_argument("--workers", type=count, metavar="N", help="processes (default: one per processor)")
     command.add_argument("--all", action="store_true", help="list what has not changed, too")
     command.add_argument("--junit", type=Path, metavar="FILE", help="write the result as JUnit XML")
@@ -31,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.renew != bool(arguments.why):
         raise InputError("check: --renew and --why TEXT go together: a baseline changes for a reason")
-    suite = check.load(arguments.suite)
+    suite = check.load(arguments.suite, gate(arguments.allow_code))
     progress = Progress(f"flying {suite.name}", unit="flights", hidden=arguments.json)
     found = check.fly(suite, workers=arguments.workers, progress=progress)
     Progress.clear()

@@ -2,11 +2,12 @@
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
     from ahrs_sim.log.live import Live
+    from ahrs_sim.scenario import Gate
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
@@ -44,6 +45,31 @@ def _port(text: str) -> int:
 def add_estimators(command: argparse.ArgumentParser, text: str) -> None:
     """Add `--estimator NAME`, which may be repeated: a list, empty when it was not given."""
     command.add_argument("--estimator", action="append", default=[], metavar="NAME", help=text)
+
+
+def add_code(command: argparse.ArgumentParser) -> None:
+    """Add `--allow-code NAME`, which may be repeated and which `gate` reads."""
+    command.add_argument(
+        "--allow-code",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="let its estimators run this code from outside: package, or package.module:Class; may be repeated",
+    )
+
+
+def gate(allowed: Sequence[str], quiet: bool = False) -> "Gate":
+    """Make the gate for code from outside; each name that passes is reported on the terminal once."""
+    from ahrs_sim.scenario import Gate
+
+    seen: set[str] = set()
+
+    def report(line: str) -> None:
+        if line not in seen and not quiet:
+            print(f"ahrs-sim: {line}", file=sys.stderr)
+        seen.add(line)
+
+    return Gate(tuple(allowed), report)
 
 
 def add_span(command: argparse.ArgumentParser, what: str = "") -> None:

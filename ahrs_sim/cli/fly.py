@@ -7,7 +7,17 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ahrs_sim.cli.common import Commands, Progress, add_estimators, add_live, natural, open_live, positive
+from ahrs_sim.cli.common import (
+    Commands,
+    Progress,
+    add_code,
+    add_estimators,
+    add_live,
+    gate,
+    natural,
+    open_live,
+    positive,
+)
 from ahrs_sim.errors import FlightError, InputError
 
 if TYPE_CHECKING:
@@ -25,6 +35,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument("-o", "--output", type=Path, metavar="LOG", help="default: logs/SCENARIO-seedN.mcap")
     command.add_argument("--seed", type=natural, metavar="N", help="instead of the scenario's")
     add_estimators(command, "only this one, or METHOD@SUITE; may be repeated")
+    add_code(command)
     command.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
     command.add_argument("--pilot", metavar="NAME", help="fly on the attitude of this estimator, or on the truth")
     command.add_argument("--force", action="store_true", help="replace an existing log")
@@ -102,7 +113,7 @@ def _scenario(arguments: argparse.Namespace) -> "Scenario":
         changed = (arguments.seed, arguments.duration, arguments.pilot)
         if arguments.estimator or any(value is not None for value in changed):
             raise InputError("fly: --from repeats a run as it was; leave --seed, --duration, --estimator, --pilot out")
-        return scenario_of(arguments.campaign, arguments.number)
+        return scenario_of(arguments.campaign, arguments.number, gate(arguments.allow_code, arguments.quiet))
     if arguments.scenario is None:
         raise InputError("fly: no scenario given; see ahrs-sim list scenarios")
     return scenarios.load(
@@ -111,6 +122,7 @@ def _scenario(arguments: argparse.Namespace) -> "Scenario":
         duration=arguments.duration,
         estimators=arguments.estimator,
         pilot=arguments.pilot,
+        gate=gate(scenarios.ANY, arguments.quiet),  # the user's own file
     )
 
 

@@ -6,7 +6,17 @@ import json
 import sys
 from pathlib import Path
 
-from ahrs_sim.cli.common import Commands, Progress, add_estimators, add_live, add_span, open_live, positive
+from ahrs_sim.cli.common import (
+    Commands,
+    Progress,
+    add_code,
+    add_estimators,
+    add_live,
+    add_span,
+    gate,
+    open_live,
+    positive,
+)
 
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
@@ -17,6 +27,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
         "-o", "--output", type=Path, metavar="OUT", help="write the input's messages and the estimates"
     )
     add_estimators(command, "of the log's scenario or the map, METHOD@SUITE, or METHOD for a bag; may be repeated")
+    add_code(command)
     command.add_argument("--map", type=Path, metavar="TOML", help="what topics and axes of a bag mean (docs/replay.md)")
     command.add_argument(
         "--calibrate", action="append", default=[], choices=["mag", "gyro"], help="from the bag's own data"
@@ -57,6 +68,7 @@ def run(arguments: argparse.Namespace) -> None:
             only_estimates=arguments.output is None and live is None,
             force=arguments.force,
             live=live,
+            gate=gate(arguments.allow_code),
             progress=Progress(f"replaying {arguments.log.name}", hidden=arguments.json),
         )
         Progress.clear()
@@ -83,6 +95,7 @@ def _evaluate_only(arguments: argparse.Namespace) -> bool:
         estimators=arguments.estimator,
         start=arguments.start,
         end=arguments.end,
+        gate=gate(arguments.allow_code),
         progress=Progress(f"replaying {arguments.log.name}", hidden=arguments.json),
     )
     if result is None:

@@ -49,11 +49,12 @@ from ahrs_sim.log.mcap.reader import vector
 from ahrs_sim.recordings import frames
 from ahrs_sim.recordings.frames import ORIENTATIONS
 from ahrs_sim.recordings.sources import UNITS, Source, Topic
-from ahrs_sim.scenario import Component
+from ahrs_sim.scenario import Component, Gate, estimator_component
 from ahrs_sim.scenario.table import Table, read_toml
 from ahrs_sim.sensors.sampling import rotation
 from estimators.types import SensorInfo
 
+_FOREIGN = Gate()
 SUITE = "bag"
 """Name of the suite that a recording becomes."""
 
@@ -112,8 +113,8 @@ class Map:
     estimators: tuple[Component, ...]
 
 
-def load(path: Path | None) -> Map:
-    """The user's map; without a path one that says nothing.
+def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
+    """The user's map; without a path one that says nothing. Its estimators run what code from outside `gate` allows.
 
     Raises:
         InputError: file, table and key of what is wrong.
@@ -167,12 +168,11 @@ def load(path: Path | None) -> Map:
         shifts=shifts,
         sensors=_sensors(table.table("sensors")),
         estimators=tuple(
-            Component(name, {**t.data, "suite": SUITE}, t.where) for name, t in table.named_tables("estimator").items()
+            estimator_component(name, {**t.data, "suite": SUITE}, t.where, gate)
+            for name, t in table.named_tables("estimator").items()
         ),
     )
     table.close()
-    for component in mapping.estimators:
-        component.table().text("method")
     return mapping
 
 

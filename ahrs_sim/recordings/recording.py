@@ -17,11 +17,12 @@ from ahrs_sim.recordings import frames, mapping, survey
 from ahrs_sim.recordings.convert import Calibration, Converter
 from ahrs_sim.recordings.mapping import SUITE, Choice, Map
 from ahrs_sim.recordings.sources import Source, open_source
-from ahrs_sim.scenario import Component
+from ahrs_sim.scenario import Component, Gate, code, estimator_component
 from ahrs_sim.sensors.records import SuiteBlock, within
 from ahrs_sim.world import gravity, magnetic
 from estimators.types import SensorInfo, Site
 
+_FOREIGN = Gate()
 _UNKNOWN_PLACE = (math.radians(45.0), 0.0, 0.0)
 _NO_FIELD = Site(_UNKNOWN_PLACE).mag_n
 _METHODS = (("ins21", "gnss"), ("air-ins", "airspeed"), ("hand-ins", "none"))
@@ -74,6 +75,7 @@ def open_bag(
     sync: bool = False,
     names: Sequence[str] = (),
     span: tuple[float, float] = (0.0, math.inf),
+    gate: Gate = _FOREIGN,
 ) -> Bag:
     """Open a recording, choose its topics, look at it once.
 
@@ -84,14 +86,16 @@ def open_bag(
         sync: shift the reference attitude so that it agrees with the gyro in time.
         names: estimators: of the map, or methods of the catalogue; none: all of the map, else one that fits.
         span: s from the beginning; what was measured outside of it is left out.
+        gate: what code from outside may run besides that of `names`.
 
     Raises:
         InputError: the file, the map or something asked for is wrong.
     """
-    map_ = mapping.load(map_file)
+    gate = gate.also(code.named(names))
+    map_ = mapping.load(map_file, gate)
     source = open_source(path, map_.table)
     try:
-        return _opened(source, map_, calibrate, sync, names, span)
+        return _opened(source, map_, calibrate, sync, names, span, gate)
     except BaseException:
         source.close()
         raise
@@ -104,6 +108,7 @@ def _opened(
     sync: bool,
     names: Sequence[str],
     span: tuple[float, float],
+    gate: Gate,
 ) -> Bag:
     path = source.path
     passed: list[str] = []
@@ -150,7 +155,7 @@ def _opened(
         mag_n=_NO_FIELD if model is None else (float(model[0]), float(model[1]), float(model[2])),
     )
     sensors = SensorInfo(**{"rate": seen.rate, **map_.sensors})
-    components = _estimators(map_, names, chosen, str(path))
+    components = _estimators(map_, names, chosen, str(path), gate)
     metadata = {"source": path.name, **{f"topic {k}": f"{c.topic.name} {c.body} {c.world}" for k, c in chosen.items()}}
     metadata |= kept | {f"site {k}": _exact(v) for k, v in dataclasses.asdict(site).items()}
     metadata |= {f"note {i + 1}": note for i, note in enumerate(notes)}
@@ -265,7 +270,9 @@ def _synchronised(seen: survey.Survey, map_: Map, sync: bool, notes: list[str]) 
     return dataclasses.replace(map_, shifts=shifts)
 
 
-def _estimators(map_: Map, names: Sequence[str], chosen: Mapping[str, Choice], where: str) -> tuple[Component, ...]:
+def _estimators(
+    map_: Map, names: Sequence[str], chosen: Mapping[str, Choice], where: str, gate: Gate
+) -> tuple[Component, ...]:
     ours = {c.name: c for c in map_.estimators}
     if not names and ours:
         return tuple(ours.values())
@@ -282,7 +289,7 @@ def _estimators(map_: Map, names: Sequence[str], chosen: Mapping[str, Choice], w
         if suite not in ("", SUITE):
             raise InputError(f"{where}: --estimator {name}: a bag is one suite, '{SUITE}'; leave @{suite} out")
         plain = method.replace(":", "-").replace(".", "-")
-        found[plain] = ours.get(name) or Component(plain, {"method": method, "suite": SUITE}, where)
+        found[plain] = ours.get(name) or estimator_component(plain, {"method": method, "suite": SUITE}, where, gate)
     return tuple(found.values())
 
 

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_sim import replay
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.errors import FlightError, InputError, nearest
 from ahrs_sim.evaluation.evaluator import Comparison, Evaluator
@@ -24,7 +23,7 @@ from ahrs_sim.flight import open_flight
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.pipeline import site_of
 from ahrs_sim.runs import pool as runs
-from ahrs_sim.scenario import Component, Scenario
+from ahrs_sim.scenario import Component, Gate, Scenario, create_estimator
 from ahrs_sim.sensors import Assembler, Suite, make_suite
 from estimators.types import Samples, SensorInfo, Site
 
@@ -228,7 +227,7 @@ def _alone(scenario: Scenario, name: str, suite: str | None) -> Scenario:
             )
         name = f"{name}@{suite}"
     data = {**scenario.data, "pilot": {}}
-    scenario = scenarios.parse(data, scenario.where, scenario.name, estimators=[name])
+    scenario = scenarios.parse(data, scenario.where, scenario.name, estimators=[name], gate=Gate(scenario.code))
     (chosen,) = scenario.estimators
     if suite is not None and chosen.settings["suite"] != suite:
         known = [s.name for s in scenario.suites]
@@ -261,7 +260,7 @@ class _Variant:
         self._suite, self._assembler, self._sheet, self._span = suite, Assembler(), sheet, span
         delays = ("gyro_delay", "accel_delay", "mag_delay")  # declared, so compensated as they are
         info = dataclasses.replace(sheet, **{name: getattr(suite.info, name) for name in delays})
-        self._estimator = replay.create(component, site, info)
+        self._estimator = create_estimator(component, site, info)
         self._evaluator = Evaluator(self._sum)
         self.squares = _Squares(np.zeros(2), np.zeros(2), (math.inf, -math.inf))
 

@@ -27,7 +27,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,11 +36,12 @@ import numpy as np
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.runs import pool as flights
 from ahrs_sim.runs.pool import Outcome, Pool, Run
-from ahrs_sim.scenario import Scenario, parse, seeds
+from ahrs_sim.scenario import Gate, Scenario, code, parse, seeds
 
 if TYPE_CHECKING:
     import pyarrow
 
+_FOREIGN = Gate()
 BATCH_RUNS, BATCH_S = 100, 20.0
 """A file is written after so many runs or seconds: what a kill can cost."""
 
@@ -167,6 +168,7 @@ class Plan:
     runs: int
     vary: tuple[str, ...]
     band_s: float
+    code: tuple[str, ...] = ()  # from outside, that estimators may run; never from a file
 
     @classmethod
     def make(cls, scenario: Scenario, runs: int, vary: Sequence[str] = ()) -> "Plan":
@@ -178,6 +180,8 @@ class Plan:
         band = max(1.0, math.ceil((scenario.duration or 600.0) / BANDS))
         plan = cls(scenario.name, scenario.where, scenario.data, scenario.seed, runs, tuple(vary), band)
         variations = plan._variations()
+        varied = (str(x) for v in variations if v.key.endswith(".method") for x in v.values)
+        plan = replace(plan, code=(*scenario.code, *filter(code.from_outside, varied)))
         keys = [v.key for v in variations]
         if twice := [k for k in keys if keys.count(k) > 1]:
             raise InputError(f"--vary {twice[0]}: given twice; keep one")
@@ -222,11 +226,11 @@ class Plan:
         for key, value in (self.values()(number) if values is None else values).items():
             put(data, key, value)
         data["seed"] = self.seed + number
-        return Run(number, self.name, self.where, data, band_s=self.band_s)
+        return Run(number, self.name, self.where, data, band_s=self.band_s, code=self.code)
 
     def manifest(self) -> dict[str, Any]:
         """All of it for a file; the scenario as TOML, which JSON could not hold."""
-        scenario = parse(dict(self.data), self.where, self.name)
+        scenario = parse(dict(self.data), self.where, self.name, gate=Gate(self.code))
         return {
             "format": 1,
             "name": self.name,
@@ -484,19 +488,20 @@ def keep_logs(plan: Plan, numbers: Sequence[int], folder: Path, pool: Pool) -> I
     def again() -> Iterator[Run]:
         for k in numbers:
             run = plan.run(k, of(k))
-            yield Run(k, run.name, run.where, run.data, log=str((folder / f"run-{k:06d}.mcap").absolute()))
+            yield replace(run, band_s=None, log=str((folder / f"run-{k:06d}.mcap").absolute()))
 
     for outcome in flights.fly_all(pool, again()):
         yield outcome.key, folder / f"run-{outcome.key:06d}.mcap", outcome.error
 
 
-def scenario_of(place: str, number: int) -> Scenario:
-    """The scenario of one run of a campaign, as it was flown.
+def scenario_of(place: str, number: int, gate: Gate = _FOREIGN) -> Scenario:
+    """The scenario of one run of a campaign, as it was flown; its code from outside runs as `gate` allows.
 
     Raises:
         InputError: no campaign there, or no such run in it.
     """
-    plan = Store(place).plan()
+    plan = replace(Store(place).plan(), code=gate.allowed)
     if not 0 <= number < plan.runs:
         raise InputError(f"{place}: --run {number}: its runs are 0 to {plan.runs - 1}")
-    return plan.run(number).scenario()
+    run = plan.run(number)
+    return parse(dict(run.data), run.where, run.name, gate=gate)

@@ -233,13 +233,17 @@ def drawn(report: dict[str, Any]) -> bytes | None:
                 over_runs.plot([spread["p5"], spread["p95"]], [k, k], color=f"C{k}", linewidth=6, alpha=0.3)
                 over_runs.plot(spread["p50"], k, "|", color=f"C{k}", markersize=14, markeredgewidth=2)
                 over_runs.plot(spread["max"], k, ".", color=f"C{k}")
-        over_time.set(ylabel=f"{measure} error, deg", yscale="log", xlabel="s" if row else None)
-        over_runs.set(xscale="log", yticks=range(len(estimators)), yticklabels=list(estimators))
+        over_time.set(ylabel=f"{measure} error, deg", xlabel="s" if row else None)
+        over_runs.set(yticks=range(len(estimators)), yticklabels=list(estimators))
         over_runs.set(xlabel=f"{measure} RMSE of a run, deg")
         over_runs.invert_yaxis()
-        over_runs.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=6))
-        over_runs.xaxis.set_major_formatter(FormatStrFormatter("%g"))
-        over_runs.xaxis.set_minor_formatter(NullFormatter())
+        if any((np.asarray(line.get_ydata()) > 0).any() for line in over_time.lines):
+            over_time.set_yscale("log")
+        if any((np.asarray(line.get_xdata()) > 0).any() for line in over_runs.lines):  # else nothing has aligned
+            over_runs.set_xscale("log")
+            over_runs.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=6))
+            over_runs.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+            over_runs.xaxis.set_minor_formatter(NullFormatter())
         for ax in (over_time, over_runs):
             ax.grid(alpha=0.3)
     axes[0, 0].set_title(f"{report['campaign']}: median and 95 % of {report['runs']} runs")

@@ -36,7 +36,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -55,6 +55,8 @@ from ahrs_sim.scenario.table import Table, read_toml
 
 STANDARD = Path(__file__).parents[2] / "tests" / "baselines" / "standard.toml"
 """The project's own suite; in a checkout only."""
+
+_FOREIGN = scenarios.Gate()
 
 ALL = "all"
 """The whole flight, beside its phases."""
@@ -152,8 +154,8 @@ class Found:
 # ----------------------------------------------------------------------------------------------- reading
 
 
-def load(path: str | None = None) -> Suite:
-    """Read and check a suite with its scenarios.
+def load(path: str | None = None, gate: scenarios.Gate = _FOREIGN) -> Suite:
+    """Read and check a suite with its scenarios, of whose code from outside only what `gate` lets pass may run.
 
     Raises:
         InputError: no such file, an unknown key, a scenario that is wrong.
@@ -174,9 +176,9 @@ def load(path: str | None = None) -> Suite:
     on = table.text("catalogue", None)
     if on:
         estimators |= {f"{method}-{on}": {"method": method, "suite": on} for method in _methods()}
-    listed = [_flight(t, file, estimators) for t in table.list_of_tables("flight")]
+    listed = [_flight(t, file, estimators, gate) for t in table.list_of_tables("flight")]
     if table.has("every"):
-        listed += _every(table.table("every"), file, estimators, {f.run.name for f in listed})
+        listed += _every(table.table("every"), file, estimators, gate, {f.run.name for f in listed})
     suite = Suite(file.stem, file.parent / table.text("baseline", f"{file.stem}.json"), tolerance, tuple(listed))
     table.close()
     names = [f.name for f in listed]
@@ -194,7 +196,9 @@ def _methods() -> list[str]:
     return [method.name for method in estimators.describe() if method.own]
 
 
-def _every(table: Table, file: Path, estimators: Mapping[str, Any], listed: set[str]) -> list[Flight]:
+def _every(
+    table: Table, file: Path, estimators: Mapping[str, Any], gate: scenarios.Gate, listed: set[str]
+) -> list[Flight]:
     """A flight for each shipped scenario that has none, with those of the estimators that its suites can feed."""
     seeds, limit = table.value("seeds", [1, 2, 3]), table.number("at_most_s", math.inf, above=0.0)
     table.close()
@@ -213,11 +217,11 @@ def _every(table: Table, file: Path, estimators: Mapping[str, Any], listed: set[
             flight: dict[str, Any] = {"scenario": str(path), "seeds": seeds}
             if limit < (scenario.duration or math.inf):
                 flight["duration_s"] = limit
-            made.append(_flight(Table(flight, f"{table.where}: {path.stem}"), file, fitting))
+            made.append(_flight(Table(flight, f"{table.where}: {path.stem}"), file, fitting, gate))
     return made
 
 
-def _flight(table: Table, file: Path, estimators: Mapping[str, Any]) -> Flight:
+def _flight(table: Table, file: Path, estimators: Mapping[str, Any], gate: scenarios.Gate) -> Flight:
     name = table.text("scenario")
     beside = file.parent / name
     seeds = table.value("seeds", [1, 2, 3])
@@ -230,12 +234,12 @@ def _flight(table: Table, file: Path, estimators: Mapping[str, Any]) -> Flight:
         raise table.error("estimators", f"{chosen!r} is not a list of names")
     path = str(beside) if beside.is_file() else name
     duration = table.number("duration_s", None, above=0.0)
-    scenario = scenarios.load(path, seed=seeds[0], duration=duration)
+    scenario = scenarios.load(path, seed=seeds[0], duration=duration, gate=gate)
     data = {**scenario.data, **({"estimator": dict(estimators)} if estimators else {})}
-    scenario = scenarios.parse(data, scenario.where, scenario.name, estimators=chosen)
+    scenario = scenarios.parse(data, scenario.where, scenario.name, estimators=chosen, gate=gate)
     title = table.text("name", scenario.name)
     table.close()
-    return Flight(title, tuple(seeds), Run(None, scenario.name, scenario.where, scenario.data))
+    return Flight(title, tuple(seeds), Run(None, scenario.name, scenario.where, scenario.data, code=scenario.code))
 
 
 # ----------------------------------------------------------------------------------------------- flying
@@ -257,7 +261,7 @@ def fly(
         for flight in suite.flights:
             for seed in flight.seeds:
                 run = flight.run
-                yield Run((flight.name, seed), run.name, run.where, {**run.data, "seed": seed})
+                yield replace(run, key=(flight.name, seed), data={**run.data, "seed": seed})
 
     total = sum(len(f.seeds) for f in suite.flights)
     with flights.local_pool(workers) as pool:

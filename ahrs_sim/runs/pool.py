@@ -16,7 +16,7 @@ import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,10 +41,11 @@ class Run:
     data: Mapping[str, Any]  # its effective TOML
     log: str | None = None  # keep the whole log there
     band_s: float | None = None  # also the RMS error of every so many seconds
+    code: tuple[str, ...] = ()  # from outside, that its estimators may run
 
     def scenario(self) -> Scenario:
         """The checked scenario."""
-        return scenarios.parse(dict(self.data), self.where, self.name)
+        return scenarios.parse(dict(self.data), self.where, self.name, gate=scenarios.Gate(self.code))
 
 
 @dataclass(frozen=True)
@@ -205,7 +206,7 @@ def warm_up(pool: Pool, runs: Iterable[Run]) -> None:
                 alone = {**run.data, "estimator": {estimator.name: dict(estimator.settings)}, "duration_s": duration}
                 if scenario.pilot_attitude not in ("truth", estimator.name):
                     alone["pilot"] = {}
-                short.append(Run(len(short), run.name, run.where, alone))
+                short.append(replace(run, key=len(short), data=alone, log=None, band_s=None))
     for outcome in fly_all(pool, short):
         if outcome.bad_input:
             raise InputError(str(outcome.error))

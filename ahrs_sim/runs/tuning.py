@@ -6,7 +6,7 @@ as they were and as they are now, and is the mean difference with its bootstrap 
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -122,7 +122,7 @@ def tune(
             data: dict[str, Any] = {**run.data, "estimator": {estimator: dict(run.data["estimator"][estimator])}}
             for name, value in settings.items():
                 put(data, f"estimator.{estimator}.{name}", value)
-            todo.append(flights.Run(number - numbers.start, run.name, run.where, data))
+            todo.append(replace(run, key=number - numbers.start, data=data, band_s=None))
         if not flown:
             flights.warm_up(pool, todo[:1])
         values = np.full(len(numbers), np.nan)

@@ -8,12 +8,14 @@ import copy
 import datetime
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ahrs_sim.errors import InputError, nearest
+from ahrs_sim.scenario.code import ANY, Gate, named
+from ahrs_sim.scenario.component import Component, estimator_component
 from ahrs_sim.scenario.shipped import scenario_dir
 from ahrs_sim.scenario.table import Table, read_toml
 
@@ -30,6 +32,7 @@ DEFAULT_ESTIMATORS: dict[str, Any] = {
 """The line-up of Han et al. 2013: three filters on the low-cost unit, the EKF on the better one as reference."""
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+_OWN, _FOREIGN = Gate(ANY), Gate()
 
 
 @dataclass(frozen=True)
@@ -69,19 +72,6 @@ class Wind:
 
 
 @dataclass(frozen=True)
-class Component:
-    """A named table (suite, estimator, fault) whose settings are checked by what is made from it."""
-
-    name: str
-    settings: Mapping[str, Any]
-    where: str  # file and table, for messages
-
-    def table(self) -> Table:
-        """The settings for checked access."""
-        return Table(dict(self.settings), self.where)
-
-
-@dataclass(frozen=True)
 class Scenario:
     """A checked scenario."""
 
@@ -103,6 +93,11 @@ class Scenario:
     estimators: tuple[Component, ...]
     faults: tuple[Component, ...]
     notes: tuple[str, ...] = ()  # what the user should know
+
+    @property
+    def code(self) -> tuple[str, ...]:
+        """Code from outside that its estimators run."""
+        return tuple(dict.fromkeys(e.code for e in self.estimators if e.code))
 
     @property
     def epoch_ns(self) -> int:
@@ -138,6 +133,7 @@ def load(
     duration: float | None = None,
     estimators: Sequence[str] = (),
     pilot: str | None = None,
+    gate: Gate = _OWN,
 ) -> Scenario:
     """Read and check a scenario.
 
@@ -146,12 +142,22 @@ def load(
         seed, duration: replace the file's.
         pilot: the estimator that the autopilot flies on, or "truth", instead of the file's.
         estimators: keep only these: names of the file's `[estimator.NAME]`, or `METHOD@SUITE` for one of the catalogue.
+        gate: what code from outside it may run: all, as a file of the user's own.
 
     Raises:
         InputError: what is wrong, in which file and key, and what to do.
     """
     path = find(name)
-    return parse(_merged(path), str(path), path.stem, seed=seed, duration=duration, estimators=estimators, pilot=pilot)
+    return parse(
+        _merged(path),
+        str(path),
+        path.stem,
+        seed=seed,
+        duration=duration,
+        estimators=estimators,
+        pilot=pilot,
+        gate=gate,
+    )
 
 
 def parse(
@@ -163,8 +169,12 @@ def parse(
     duration: float | None = None,
     estimators: Sequence[str] = (),
     pilot: str | None = None,
+    gate: Gate = _FOREIGN,
 ) -> Scenario:
-    """`load` for TOML data that is already there, e.g. from the scenario kept in a log."""
+    """`load` for TOML data that is already there, e.g. from the scenario kept in a log.
+
+    Of code from outside only that of `estimators` and what `gate` lets pass may run.
+    """
     data = copy.deepcopy(data)
     if seed is not None:
         data["seed"] = seed
@@ -204,7 +214,7 @@ def parse(
         steps=steps,
         pilot_attitude=_pilot(table.table("pilot")),
         suites=_components(table, "suite"),
-        estimators=_components(table, "estimator"),
+        estimators=_estimators(table, gate.also(named(estimators))),
         faults=tuple(Component(f"fault-{i + 1}", t.data, t.where) for i, t in enumerate(table.list_of_tables("fault"))),
         notes=() if estimators else notes,
     )
@@ -328,12 +338,20 @@ def _pilot(table: Table) -> str:
 
 
 def _components(table: Table, kind: str) -> tuple[Component, ...]:
-    components = []
-    for name, settings in table.named_tables(kind).items():
+    return tuple(Component(name, settings.data, settings.where) for name, settings in _named(table, kind).items())
+
+
+def _estimators(table: Table, gate: Gate) -> tuple[Component, ...]:
+    tables = _named(table, "estimator")
+    return tuple(estimator_component(name, t.data, t.where, gate) for name, t in tables.items())
+
+
+def _named(table: Table, kind: str) -> dict[str, Table]:
+    tables = table.named_tables(kind)
+    for name, settings in tables.items():
         if not _NAME.fullmatch(name):
             raise settings.error(name, "a name is letters, digits, - and _, a letter first; rename it")
-        components.append(Component(name, settings.data, settings.where))
-    return tuple(components)
+    return tables
 
 
 def _check_links(scenario: Scenario) -> None:
@@ -341,7 +359,6 @@ def _check_links(scenario: Scenario) -> None:
     suites = [s.name for s in scenario.suites]
     for component in scenario.estimators:
         table = component.table()
-        table.text("method")
         table.choice("suite", suites)
     names = [e.name for e in scenario.estimators]
     if scenario.pilot_attitude != "truth" and scenario.pilot_attitude not in names:
