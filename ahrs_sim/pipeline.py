@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import estimators
+from ahrs_sim import plugins
 from ahrs_sim.errors import FlightError
 from ahrs_sim.evaluation.decimate import RowDecimator
 from ahrs_sim.flight import BLOCK_S, Flight, open_flight
@@ -41,7 +41,7 @@ class Chain:
 
     suite: Suite
     assembler: Assembler
-    estimators: dict[str, estimators.Estimator]
+    estimators: dict[str, plugins.Processes]
     waiting: list[Truth] = field(default_factory=list)  # until the log is next written, where nobody is in a hurry
 
 
@@ -122,6 +122,8 @@ def fly(
     if flight.error:
         kept = f"; the log is complete up to there: {output}" if output else ""
         raise FlightError(f"{scenario.where}: {flight.error}{kept}")
+    if failed := plugins.failures(e for c in chains for e in c.estimators.values()):
+        raise FlightError(f"{scenario.where}: {failed}")
 
 
 def _listen(chain: Chain, record: "_Recorder", flight: Flight, pilot: str) -> None:
@@ -136,6 +138,8 @@ def _listen(chain: Chain, record: "_Recorder", flight: Flight, pilot: str) -> No
     for name, estimator in chain.estimators.items():
         estimates = estimator.process(samples)
         record.estimates(name, estimates)
+        if isinstance(estimator, plugins.Guarded):
+            record.events(estimator.take_events())
         if name == pilot:
             _feed_back(flight, estimates, samples.gyro_b)
     record.events(chain.suite.take_events())

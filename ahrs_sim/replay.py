@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from ahrs_sim import plugins
 from ahrs_sim import scenario as scenarios
-from ahrs_sim.errors import InputError
+from ahrs_sim.errors import FlightError, InputError
 from ahrs_sim.log.flight_log import EstimateTopics
 from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.mcap.writer import CarriedChannel, Listener, LogWriter
@@ -91,6 +92,7 @@ def replay(
 
     Raises:
         InputError: the recording cannot be read, or something asked for is not in it.
+        FlightError: an estimator from outside failed; the log is complete.
     """
     if output.exists() and path.exists() and output.samefile(path):
         raise InputError(f"{output}: is the recording itself; choose another -o")
@@ -166,7 +168,7 @@ def evaluate(
 ) -> dict[str, Any] | None:
     """Errors of estimators on a log of ours, as `replay` and `accuracy` give them, without a new log.
 
-    None: not a log of ours, or one without the truth.
+    None: not a log of ours, or one without the truth, or an estimator from outside is among them.
 
     Raises:
         InputError: as `replay`, or there is nothing between start and end.
@@ -187,6 +189,8 @@ def evaluate(
         recording = of_flight(log, estimators, truth, *topics, gate=gate)
         errors = Accuracy([c.name for c in recording.estimators])
         chains = _chains(recording)
+        if any(isinstance(e, plugins.Guarded) for _, on_suite in chains.values() for e in on_suite.values()):
+            return None  # may fail, which a log keeps
         for blocks in recording.blocks:
             reached = 0.0
             for suite, (assembler, listening) in chains.items():
@@ -296,6 +300,8 @@ def _run(
             progress(reached, recording.duration)
             passing.advance(recording.epoch_ns + round((reached - _HOLD_S) * 1e9))
         passing.rest()
+    if failed := plugins.failures(e for _, on_suite in chains.values() for e in on_suite.values()):
+        raise FlightError(f"{failed}; the log is complete: {output}")
 
 
 class _Passing:

@@ -15,6 +15,7 @@ from ahrs_sim.cli import (
     fly,
     info,
     listing,
+    new,
     papers,
     recover,
     replay,
@@ -23,7 +24,7 @@ from ahrs_sim.errors import AhrsSimError
 from estimators.errors import EstimationError
 
 # in the order of `ahrs-sim --help`
-_COMMANDS = (fly, replay, compare, info, export, recover, allan, check, campaign, budget, papers, listing)
+_COMMANDS = (fly, replay, compare, info, export, recover, allan, check, campaign, budget, papers, new, listing)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

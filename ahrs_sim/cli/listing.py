@@ -1,4 +1,4 @@
-"""`ahrs-sim list`: scenarios, aircraft, grades, estimators, layouts."""
+"""`ahrs-sim list`: scenarios, aircraft, grades, estimators, layouts, the C interface."""
 
 import argparse
 import json
@@ -10,13 +10,18 @@ from ahrs_sim.cli.common import Commands
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
     command = commands.add_parser("list", help="what there is")
-    command.add_argument("what", choices=list(_LISTS))
+    command.add_argument("what", choices=[*_LISTS, "interface"])
     command.add_argument("--json", action="store_true")
     return command
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Print the scenarios, aircraft, grades, estimators or layouts there are."""
+    if arguments.what == "interface":
+        from ahrs_sim.plugins.layout import HEADER
+
+        print(HEADER.read_text(encoding="utf-8"), end="")
+        return
     rows = _LISTS[arguments.what]()
     if arguments.json:
         print(json.dumps(rows, indent=1))

@@ -48,6 +48,7 @@ def run(arguments: argparse.Namespace) -> None:
     import tempfile
 
     from ahrs_sim import replay
+    from ahrs_sim.errors import FlightError
 
     changed = arguments.map or arguments.calibrate or arguments.sync or arguments.align
     changed = changed or arguments.skip or arguments.until
@@ -56,21 +57,25 @@ def run(arguments: argparse.Namespace) -> None:
     live = open_live(arguments)
     with live or contextlib.nullcontext(), tempfile.TemporaryDirectory(prefix="ahrs_sim-") as folder:
         output = arguments.output or Path(folder) / arguments.log.with_suffix(".mcap").name
-        notes = replay.replay(
-            arguments.log,
-            output,
-            estimators=arguments.estimator,
-            map_file=arguments.map,
-            calibrate=arguments.calibrate,
-            sync=arguments.sync,
-            skip=arguments.skip,
-            until=arguments.until,
-            only_estimates=arguments.output is None and live is None,
-            force=arguments.force,
-            live=live,
-            gate=gate(arguments.allow_code),
-            progress=Progress(f"replaying {arguments.log.name}", hidden=arguments.json),
-        )
+        failure, notes = None, []
+        try:
+            notes = replay.replay(
+                arguments.log,
+                output,
+                estimators=arguments.estimator,
+                map_file=arguments.map,
+                calibrate=arguments.calibrate,
+                sync=arguments.sync,
+                skip=arguments.skip,
+                until=arguments.until,
+                only_estimates=arguments.output is None and live is None,
+                force=arguments.force,
+                live=live,
+                gate=gate(arguments.allow_code),
+                progress=Progress(f"replaying {arguments.log.name}", hidden=arguments.json),
+            )
+        except FlightError as error:
+            failure = error  # the accuracy of the others comes first
         Progress.clear()
         if notes and not arguments.json:
             print("\n".join(notes), end="\n\n")
@@ -84,6 +89,8 @@ def run(arguments: argparse.Namespace) -> None:
     print(json.dumps(result, indent=1) if arguments.json else compare.table(result))
     if arguments.output and not arguments.json:
         print(arguments.output)
+    if failure:
+        raise failure
 
 
 def _evaluate_only(arguments: argparse.Namespace) -> bool:

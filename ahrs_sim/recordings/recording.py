@@ -17,7 +17,7 @@ from ahrs_sim.recordings import frames, mapping, survey
 from ahrs_sim.recordings.convert import Calibration, Converter
 from ahrs_sim.recordings.mapping import SUITE, Choice, Map
 from ahrs_sim.recordings.sources import Source, open_source
-from ahrs_sim.scenario import Component, Gate, code, estimator_component
+from ahrs_sim.scenario import Component, Gate, code, estimator_component, short_name
 from ahrs_sim.sensors.records import SuiteBlock, within
 from ahrs_sim.world import gravity, magnetic
 from estimators.types import SensorInfo, Site
@@ -285,10 +285,10 @@ def _estimators(
         return (Component(name, {**settings, "suite": SUITE}, where),)
     found = {}
     for name in names:
-        method, _, suite = name.partition("@")
+        method, _, suite = name.rpartition("@") if "@" in name else (name, "", "")
         if suite not in ("", SUITE):
             raise InputError(f"{where}: --estimator {name}: a bag is one suite, '{SUITE}'; leave @{suite} out")
-        plain = method.replace(":", "-").replace(".", "-")
+        plain = short_name(method)
         found[plain] = ours.get(name) or estimator_component(plain, {"method": method, "suite": SUITE}, where, gate)
     return tuple(found.values())
 

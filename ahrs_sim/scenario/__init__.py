@@ -21,6 +21,7 @@ from ahrs_sim.scenario.scenario import (
     find,
     load,
     parse,
+    short_name,
 )
 
 __all__ = [
@@ -39,4 +40,5 @@ __all__ = [
     "find",
     "load",
     "parse",
+    "short_name",
 ]

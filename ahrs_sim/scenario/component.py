@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ahrs_sim.errors import InputError
@@ -9,7 +10,7 @@ from ahrs_sim.scenario.code import Gate, from_outside
 from ahrs_sim.scenario.table import Table
 
 if TYPE_CHECKING:
-    from estimators import Estimator
+    from ahrs_sim.plugins import Processes
     from estimators.types import SensorInfo, Site
 
 
@@ -38,19 +39,25 @@ def estimator_component(name: str, settings: Mapping[str, Any], where: str, gate
     return Component(name, settings, where, method if from_outside(method) else "")
 
 
-def create_estimator(component: Component, site: "Site", sensors: "SensorInfo") -> "Estimator":
+def create_estimator(component: Component, site: "Site", sensors: "SensorInfo") -> "Processes":
     """Create the estimator that an `[estimator.NAME]` table describes.
 
+    Code from outside comes guarded: see `ahrs_sim.plugins`.
+
     Raises:
-        InputError: an unknown method or setting: where, which, what to do.
+        InputError: an unknown method or setting: where, which, what to do; a library that cannot be used.
     """
     import estimators
+    from ahrs_sim import plugins
 
-    method = component.settings["method"]
+    method = str(component.settings["method"])
     if method != component.code:  # whoever made the component without a gate cannot run code from outside
         Gate().check(method, component.where)
     settings = {k: v for k, v in component.settings.items() if k not in ("method", "suite")}
     try:
+        if from_outside(method):
+            folder = Path(component.where.partition(":")[0]).parent
+            return plugins.create(component.name, method, folder, site=site, sensors=sensors, settings=settings)
         return estimators.create(method, site=site, sensors=sensors, **settings)
     except estimators.SettingError as error:
         raise InputError(f"{component.where}: {error}") from None

@@ -280,17 +280,25 @@ def _overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
 def _selected(tables: dict[str, Any], names: Sequence[str], where: str) -> dict[str, Any]:
     chosen: dict[str, Any] = {}
     for name in names:
-        method, at, suite = name.partition("@")
+        method, at, suite = name.rpartition("@")
         if name in tables:
             chosen[name] = tables[name]
         elif at:
-            chosen[f"{method.replace(':', '-').replace('.', '-')}-{suite}"] = {"method": method, "suite": suite}
+            chosen[f"{short_name(method)}-{suite}"] = {"method": method, "suite": suite}
         else:
             raise InputError(
                 f"{where}: --estimator {name}: no [estimator.{name}]{nearest(name, tables)} or METHOD@SUITE, "
                 "e.g. marg-ckf@chr"
             )
     return chosen
+
+
+def short_name(method: str) -> str:
+    """A name for the estimator of a method: that of the file for a library or an FMU."""
+    if method.startswith(("lib:", "fmu:")):
+        method = re.sub(r"[^A-Za-z0-9_-]", "-", Path(method.partition(":")[2]).stem).lstrip("-_0123456789")
+        return method or "plug-in"
+    return method.replace(":", "-").replace(".", "-")
 
 
 def _start(table: Table) -> Start:

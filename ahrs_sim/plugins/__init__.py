@@ -1,0 +1,64 @@
+"""Estimators from outside: shared libraries in C or C++, FMUs, and Python classes of the user's own.
+
+layout          the structures of `interface/ahrs_estimator.h` as NumPy records
+library         LibraryEstimator: a shared library, run by `host` in a process of its own
+border          Guarded: what estimates from outside must be; a failure ends that estimator alone
+templates/      what `ahrs-sim new estimator` writes
+"""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import estimators
+from ahrs_sim.errors import InputError
+from ahrs_sim.plugins.border import Guarded, Processes
+from estimators import SensorInfo, Site
+
+__all__ = ["LIBRARY", "Guarded", "Processes", "create", "failures", "located"]
+
+LIBRARY = "lib:"
+
+
+def create(
+    name: str, method: str, folder: Path, *, site: Site, sensors: SensorInfo, settings: Mapping[str, Any]
+) -> Guarded:
+    """Make an estimator of code from outside.
+
+    Args:
+        name: of the estimator, for events.
+        method: `lib:PATH`, or `package.module:Class`.
+        folder: of the file that names it: paths are relative to it, or to the current folder.
+        site: place and field.
+        sensors: data sheet figures.
+        settings: passed on.
+
+    Raises:
+        InputError: a library that cannot be used.
+        SettingError: a class that cannot be used.
+    """
+    if method.startswith(LIBRARY):
+        from ahrs_sim.plugins.library import LibraryEstimator
+
+        path = located(method.removeprefix(LIBRARY), folder)
+        return Guarded(name, LibraryEstimator(path, site=site, sensors=sensors, **settings))
+    return Guarded(name, estimators.create(method, site=site, sensors=sensors, **settings))
+
+
+def located(path: str, folder: Path) -> Path:
+    """Find a file named in a scenario: beside it, else in the current folder.
+
+    Raises:
+        InputError: there is no such file in either.
+    """
+    for base in (folder, Path()):
+        found = base / path
+        if found.is_file():
+            return found
+    raise InputError(f"{path}: no such file beside the scenario ({folder}) or in the current folder")
+
+
+def failures(made: Iterable[Processes]) -> str:
+    """Name the estimators that failed and why, on one line; empty when none did."""
+    failed = [e for e in made if isinstance(e, Guarded) and e.failure is not None]
+    return "; ".join(f"estimator '{e.name}' {e.failure}" for e in failed)

@@ -1,0 +1,51 @@
+"""The rows of `ahrs_estimator.h` as NumPy records: the columns of `Samples` and `Estimates` without loss, row by row.
+
+A structure has the numbers of its block in order, then the bytes (masks, status), then padding to eight bytes.
+"""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from estimators.types import Columns, Estimates, Samples, SensorInfo, Site
+
+HEADER = Path(__file__).parent / "interface" / "ahrs_estimator.h"
+VERSION = 1  # AHRS_INTERFACE_VERSION
+
+
+def _structure(block: type[Columns]) -> np.dtype:
+    numbers: list[tuple[str, type, tuple[int, ...]]] = []
+    flags: list[tuple[str, type, tuple[int, ...]]] = []
+    for f in dataclasses.fields(block):
+        shape, kind = f.metadata["shape"], f.metadata["dtype"]
+        (numbers if kind is float else flags).append((f.name, np.float64 if kind is float else np.uint8, shape))
+    return np.dtype([*numbers, *flags, ("reserved", np.uint8, (-len(flags) % 8,))])
+
+
+SAMPLE = _structure(Samples)
+ESTIMATE = _structure(Estimates)
+
+
+def write_samples(samples: Samples, rows: np.ndarray) -> None:
+    """Write a block of n samples to `rows` (n,) of type `SAMPLE`."""
+    for name in samples.__match_args__:
+        rows[name] = getattr(samples, name)
+
+
+def blank_estimates(t: np.ndarray, rows: np.ndarray) -> None:
+    """Prepare `rows` (n,) of type `ESTIMATE`: time stamps `t` (n,), everything else NaN, ALIGNING."""
+    rows.view(np.uint8).reshape(len(rows), -1)[:, -8:] = 0
+    rows.view(np.float64).reshape(len(rows), -1)[:, :-1] = np.nan
+    rows["t"] = t
+
+
+def read_estimates(rows: np.ndarray) -> Estimates:
+    """Copy `rows` (n,) of type `ESTIMATE` to a block with contiguous columns."""
+    return Estimates(*[np.ascontiguousarray(rows[name]).copy() for name in Estimates.__match_args__])
+
+
+def constants(known: Site | SensorInfo) -> bytes:
+    """The bytes of `ahrs_site` or `ahrs_sensors`."""
+    values = dataclasses.astuple(known)
+    return np.concatenate([np.atleast_1d(np.asarray(v, float)) for v in values]).tobytes()
