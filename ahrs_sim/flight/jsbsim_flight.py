@@ -21,6 +21,7 @@ from ahrs_sim.flight.fdm import Fdm
 from ahrs_sim.flight.manoeuvres import parse_steps
 from ahrs_sim.flight.pilot import Pilot
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
+from ahrs_sim.flight.turbulence import RoughAir
 from ahrs_sim.scenario import Gust, Scenario, seeds
 from ahrs_sim.world import wgs84
 
@@ -34,7 +35,6 @@ EULER, ADAMS_BASHFORTH_2, BUSS_2 = 1, 3, 7  # JSBSim's integrators
 PILOT_RATE = 50.0  # Hz
 SETTLE_GROUND = 4.0  # s until the springs of the wheels are at rest
 SETTLE_AIR = 15.0  # s until motor, trim and holds are
-SEVERITY = {"none": 0, "light": 3, "moderate": 4, "severe": 6}  # JSBSim's index into the curves of MIL-F-8785C
 HARD = 6.0  # m/s, sink rate at touchdown that no wheel survives
 
 # Property and factor to SI of each column of the raw block.
@@ -77,6 +77,7 @@ _COLUMNS: tuple[tuple[str, float], ...] = (
 _SCALE = np.array([factor for _, factor in _COLUMNS])
 _OPTIONAL = ("propulsion/engine/propeller-rpm", "fcs/throttle-pos-norm")  # gliders and jets have none: 0
 VEL_DOWN, HEIGHT_AGL, WOW = 5, 30, 31  # columns that are read before conversion
+VELOCITY, EULER_ANGLES = slice(3, 6), slice(6, 9)
 
 
 class JsbsimFlight:
@@ -111,8 +112,6 @@ class JsbsimFlight:
             fdm.load_aircraft(scenario.aircraft, scenario.where)
         self._rows = math.inf if end == math.inf else math.floor(end * scenario.rate + 1e-6) + 1
         fdm["simulation/randomseed"] = seeds.integer(scenario.seed, "flight")
-        if fdm.has("atmosphere/randomseed"):
-            fdm["atmosphere/randomseed"] = seeds.integer(scenario.seed, "wind")
         self._every = max(1, round(scenario.rate / PILOT_RATE))
         if self._scripted:
             fdm.exec.run_ic()
@@ -131,6 +130,8 @@ class JsbsimFlight:
         if scenario.pilot_attitude != "truth" and self._pilot.autopilot is None:
             model = fdm.exec.get_model_name()
             raise InputError(f"{scenario.where}: [pilot]: attitude: '{model}' has not our autopilot; leave it out")
+        air = RoughAir.wanted(scenario.wind)
+        self._air = RoughAir(fdm, scenario.wind, scenario.seed, self._every) if air else None
         self._settle(scenario)
         place = [fdm[name] * scale for name, scale in _COLUMNS[:3]]
         self.start_lla = np.array(place)
@@ -151,7 +152,7 @@ class JsbsimFlight:
         raw = np.empty((n, len(_COLUMNS)))
         k = 0
         get, every = self._get, self._every
-        run = self._run
+        run, air = self._run, self._air
         if self._next == 0 and n > 0 and not self.done:
             self._last = [g() for g in get]
             raw[0] = self._last
@@ -165,6 +166,8 @@ class JsbsimFlight:
             row = self._last
             try:
                 while k < stop:
+                    if air is not None:
+                        air.step()
                     if not run():
                         self._finish(None)
                         break
@@ -231,9 +234,7 @@ class JsbsimFlight:
             fdm["atmosphere/wind-north-fps"] = -wind.speed * math.cos(wind.from_) / FT
             fdm["atmosphere/wind-east-fps"] = -wind.speed * math.sin(wind.from_) / FT
         if wind.turbulence != "none":
-            fdm["atmosphere/turb-type"] = 3  # MIL-F-8785C
-            fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = wind.at_20ft / FT
-            fdm["atmosphere/turbulence/milspec/severity"] = SEVERITY[wind.turbulence]
+            fdm["atmosphere/turb-type"] = 0  # a script's own; ours comes from `RoughAir`
 
     def _settles(self, scenario: Scenario) -> bool:
         """In the air and wings level under our autopilot: fly a few seconds before the flight begins."""
@@ -251,7 +252,11 @@ class JsbsimFlight:
         else:
             self._pilot.hold(start.altitude + start.height, start.airspeed, start.heading)
             seconds = SETTLE_AIR if self._settles(scenario) else 0.0
-        for _ in range(round(seconds / self.dt)):
+        for k in range(round(seconds / self.dt)):
+            if self._air is not None:
+                if k % self._every == 0:
+                    self._look_ahead([g() for g in self._get])
+                self._air.step()
             self._fdm.exec.run()
 
     # -- in flight
@@ -275,7 +280,14 @@ class JsbsimFlight:
         if not self._pilot.tick(t, row):
             self._finish(self._pilot.error)
             return False
+        self._look_ahead(row)
         return True
+
+    def _look_ahead(self, row: list[float]) -> None:
+        """The air until the pilot acts again."""
+        if self._air is not None:
+            velocity = [FT * x for x in row[VELOCITY]]
+            self._air.ahead(FT * row[HEIGHT_AGL], velocity, row[EULER_ANGLES])
 
     def _choose_integrators(self, near_ground: bool) -> None:
         """How rates and velocities are integrated: Adams-Bashforth 2 in the air, Euler near the ground.

@@ -69,6 +69,7 @@ class Wind:
     turbulence: str  # a key of TURBULENCE
     at_20ft: float  # m/s, wind at 20 ft (6 m) above ground that sets the turbulence's intensity
     gusts: tuple[Gust, ...]
+    roughness: float = 0.0  # m, of the ground: the wind grows with the logarithm of height; 0: the same at every height
 
 
 @dataclass(frozen=True)
@@ -334,7 +335,8 @@ def _wind(table: Table) -> Wind:
         gust.close()
     turbulence = table.choice("turbulence", list(TURBULENCE), "none")
     at_20ft = table.number("at_20ft_mps", TURBULENCE[turbulence], minimum=0.0, maximum=60.0)
-    wind = Wind(speed, from_, turbulence, at_20ft, tuple(gusts))
+    roughness = table.number("roughness_m", 0.0, minimum=0.0, maximum=1.0)
+    wind = Wind(speed, from_, turbulence, at_20ft, tuple(gusts), roughness)
     table.close()
     return wind
 

@@ -243,7 +243,7 @@ def test_before_the_hand_over_it_flies_on_the_truth():
 
 
 def test_circuit_says_its_lineup():
-    text = (scenario.scenario_dir() / "circuit.toml").read_text(encoding="utf-8")
+    text = scenario.find("circuit").read_text(encoding="utf-8")
     data = tomllib.loads(text)
     assert list(data["estimator"]) == ["ekf-chr", "ckf-chr", "cdkf-chr", "ekf-sbg"]
     assert set(data["suite"]) == {"chr", "sbg"}
