@@ -21,10 +21,11 @@ from ahrs_sim.log.flight_log import EstimateTopics
 from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.mcap.writer import CarriedChannel, Listener, LogWriter
 from ahrs_sim.log.topics import INSTRUMENTS, REFERENCE
+from ahrs_sim.recordings.sources import is_mcap
 from ahrs_sim.scenario import Component, Gate, create_estimator
 from ahrs_sim.sensors.assemble import Assembler
 from ahrs_sim.sensors.records import SuiteBlock, within
-from estimators.types import SensorInfo, Site
+from estimators.types import Estimates, SensorInfo, Site, blank
 
 SCENARIO = "scenario.toml"
 
@@ -51,6 +52,7 @@ class Recording:
     written: Mapping[str, Sequence[str]] = field(default_factory=dict)  # suites of which the records go along instead
     has_reference: bool = False
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # for the new log
+    recorded: Sequence[str] = ()  # estimators whose attitudes come with the records
 
 
 def replay(
@@ -61,6 +63,7 @@ def replay(
     map_file: Path | None = None,
     calibrate: Sequence[str] = (),
     sync: bool = False,
+    reference: str | None = None,
     skip: float | None = None,
     until: float | None = None,
     only_estimates: bool = False,
@@ -80,6 +83,7 @@ def replay(
         map_file: what topics and axes of a bag mean.
         calibrate: "mag", "gyro": from the bag's own data.
         sync: shift a bag's reference to the time of its gyro.
+        reference: topic of a bag's reference attitude.
         skip, until: estimators see only what was measured in this span, s from the beginning.
         only_estimates: carry nothing along but the truth.
         force: replace an existing log.
@@ -100,21 +104,21 @@ def replay(
     if span[0] >= span[1]:
         raise InputError(f"--skip {span[0]:g} --until {span[1]:g}: nothing is left between them")
     prefixes = REFERENCES if only_estimates else ("",)
-    foreign = _not_mcap(path)
+    foreign = not is_mcap(path)
     if not foreign:
         with FlightReader(path) as log:
             foreign = not is_flight(log)
             if not foreign:
-                if map_file or calibrate or sync:
-                    raise InputError(f"{path}: a log of ours needs no --map, --calibrate or --sync; leave them out")
+                if map_file or calibrate or sync or reference:
+                    unneeded = "--map, --calibrate, --sync or --reference"
+                    raise InputError(f"{path}: a log of ours needs no {unneeded}; leave them out")
                 _run(_cut(of_flight(log, estimators, gate=gate), *span), output, prefixes, force, progress, live)
                 return []
     from ahrs_sim.recordings.mapping import SUITE
     from ahrs_sim.recordings.recording import open_bag
 
-    with open_bag(
-        path, map_file=map_file, calibrate=calibrate, sync=sync, names=estimators, span=span, gate=gate
-    ) as bag:
+    asked: Any = {"map_file": map_file, "calibrate": calibrate, "sync": sync, "reference": reference, "span": span}
+    with open_bag(path, names=estimators, gate=gate, **asked) as bag:
         reader = getattr(bag.source, "reader", None)
         records = [i for i in bag.instruments if i in INSTRUMENTS]
         recording = Recording(
@@ -128,6 +132,7 @@ def replay(
             written={} if reader or only_estimates else {SUITE: records},
             has_reference="reference" in bag.converter.chosen,
             metadata={"replay": bag.metadata},
+            recorded=[name for name in bag.recorded if name not in {c.name for c in bag.estimators}],
         )
         _run(recording, output, prefixes, force, progress, live)
         return bag.notes + bag.counted()
@@ -176,7 +181,7 @@ def evaluate(
     from ahrs_sim.evaluation.accuracy import Accuracy
     from ahrs_sim.review import compare
 
-    if _not_mcap(path):
+    if not is_mcap(path):
         return None
     topics = compare.TRUTH_TOPICS
     with FlightReader(path) as log:
@@ -202,10 +207,6 @@ def evaluate(
             progress(reached, recording.duration)
     low, high = -math.inf if start is None else start, math.inf if end is None else end
     return compare.result_of(errors, path, "truth", low, high)
-
-
-def _not_mcap(path: Path) -> bool:
-    return path.suffix in (".csv", ".ulg", ".ulog", ".db3") or path.is_dir()
 
 
 def is_flight(log: FlightReader) -> bool:
@@ -276,7 +277,7 @@ def _run(
     live: Listener | None,
 ) -> None:
     chains = _chains(recording)
-    names = [c.name for c in recording.estimators]
+    names = [*(c.name for c in recording.estimators), *recording.recorded]
     with LogWriter(output, epoch_ns=recording.epoch_ns, force=force, listener=live) as writer:
         passing = _Passing(recording, writer, prefixes)
         topics = EstimateTopics(writer, recording.epoch_ns, names)
@@ -287,6 +288,8 @@ def _run(
             reached = 0.0
             for suite, block in blocks.items():
                 passing.records(suite, block)
+                for name in recording.recorded:
+                    topics.write(name, _as_estimates(block.pop(f"recorded {name}")))
                 if "reference" in block:
                     reference: Any = block["reference"]
                     known = np.isfinite(reference.q_nb).all(axis=1)
@@ -302,6 +305,16 @@ def _run(
         passing.rest()
     if failed := plugins.failures(e for _, on_suite in chains.values() for e in on_suite.values()):
         raise FlightError(f"{failed}; the log is complete: {output}")
+
+
+def _as_estimates(attitude: Any) -> Estimates:
+    """Attitudes that somebody else's estimator has written."""
+    known = np.isfinite(attitude.q_nb).all(axis=1)
+    columns = blank(Estimates, int(known.sum()))
+    columns["t"], columns["q_nb"] = attitude.stamp_ns[known] / 1e9, attitude.q_nb[known]
+    w, x, y, z = columns["q_nb"].T
+    columns["down_b"] = np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+    return Estimates(**columns)
 
 
 class _Passing:

@@ -22,7 +22,7 @@ from ahrs_sim.cli.common import (
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
     command = commands.add_parser("replay", help="run estimators on a log of ours or on the bag of a real vehicle")
-    command.add_argument("log", type=Path, help="a log of ours, a ROS 2 bag (mcap, db3), a PX4 .ulg or a .csv")
+    command.add_argument("log", type=Path, help="a log of ours or any recording (docs/replay.md)")
     command.add_argument(
         "-o", "--output", type=Path, metavar="OUT", help="write the input's messages and the estimates"
     )
@@ -37,6 +37,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument("--until", type=positive, metavar="S", help="estimators see nothing after S seconds")
     command.add_argument("--align", choices=["heading", "frames"], help="take out a constant rotation first")
     command.add_argument("--sync", action="store_true", help="shift a bag's reference to the time of its gyro")
+    command.add_argument("--reference", metavar="TOPIC", help="what a recording's errors are taken against")
     command.add_argument("--force", action="store_true", help="replace an existing log")
     command.add_argument("--json", action="store_true", help="print the accuracy as JSON")
     add_live(command)
@@ -51,7 +52,7 @@ def run(arguments: argparse.Namespace) -> None:
     from ahrs_sim.errors import FlightError
 
     changed = arguments.map or arguments.calibrate or arguments.sync or arguments.align
-    changed = changed or arguments.skip or arguments.until
+    changed = changed or arguments.skip or arguments.until or arguments.reference
     if not (arguments.output or changed or arguments.live is not None) and _evaluate_only(arguments):
         return
     live = open_live(arguments)
@@ -66,6 +67,7 @@ def run(arguments: argparse.Namespace) -> None:
                 map_file=arguments.map,
                 calibrate=arguments.calibrate,
                 sync=arguments.sync,
+                reference=arguments.reference,
                 skip=arguments.skip,
                 until=arguments.until,
                 only_estimates=arguments.output is None and live is None,

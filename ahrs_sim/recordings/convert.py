@@ -38,6 +38,12 @@ HOLD_NS = 10**9
 OTHER_CLOCK_NS = 10 * 10**9
 """Stamps further from the log's clock than this belong to another one."""
 
+RECORDED = "recorded "
+"""What the kind of an attitude begins with that the vehicle itself estimated; the estimator's name follows."""
+
+APART_NS = 2 * 10**8
+"""Accelerations further apart than this say nothing of the time between them."""
+
 SAME_NS = 10**7
 """Position and velocity this close in time are of one solution."""
 
@@ -87,7 +93,9 @@ class Converter:
         self.counts: Counter[str] = Counter()
         self.log_times = mapping.stamps == "log"
         self._decided = mapping.stamps is not None
-        self._queues = {kind: _Queue(_RECORDS[kind], kind, self.counts) for kind in chosen}
+        self._queues = {k: _Queue(_RECORDS.get(k, AttitudeRecord), k, self.counts) for k in chosen if k != "accel"}
+        self._gyro: np.ndarray | None = None  # messages whose acceleration has not come yet
+        self._force = (np.empty(0, np.int64), np.empty((0, 3)))  # ns, in the axes of the gyro's messages
         if "diff_pressure" in chosen and "air" not in chosen:
             self._queues["air"] = _Queue(AirRecord, "air", self.counts)
         self._static = (np.empty(0, np.int64), np.empty(0))  # ns, Pa: static pressure so far
@@ -113,13 +121,17 @@ class Converter:
 
     def _take(self, block: dict[str, np.ndarray]) -> None:
         arrays = {kind: block[choice.topic.name] for kind, choice in self.chosen.items()}
+        if "accel" in arrays:
+            arrays["imu"] = self._joined(arrays["imu"], arrays.pop("accel"))
         for kind in sorted(arrays, key=lambda k: k == "diff_pressure"):  # after what it needs
             array = arrays[kind]
             if not len(array):
                 continue
             ns = self._stamps(kind, array)
-            columns = getattr(self, f"_{kind}")(array, self.chosen[kind])
-            good = np.abs(ns - (array["log_time"] - self.epoch_ns)) < OTHER_CLOCK_NS + abs(self.mapping.shifts[kind])
+            make = self._reference if kind.startswith(RECORDED) else getattr(self, f"_{kind}")
+            columns = make(array, self.chosen[kind])
+            shift = abs(self.mapping.shifts.get(kind, 0))
+            good = np.abs(ns - (array["log_time"] - self.epoch_ns)) < OTHER_CLOCK_NS + shift
             self.counts[f"{kind}: stamps of another clock"] += int(np.sum(~good))
             if kind == "imu":
                 known = np.isfinite(columns["gyro_b"]).all(axis=1)
@@ -130,10 +142,11 @@ class Converter:
                 self._newest = max(self._newest, int(ns[good].max()))
 
     def _put(self, kind: str, ns: np.ndarray, columns: dict[str, np.ndarray], good: np.ndarray) -> None:
-        made = blank(_RECORDS[kind], len(ns))
+        record: Any = _RECORDS.get(kind, AttitudeRecord)
+        made = blank(record, len(ns))
         made.update(columns)
         made["stamp_ns"] = made["arrival_ns"] = ns
-        self._queues[kind].add(_RECORDS[kind](**{k: v[good] for k, v in made.items()}))
+        self._queues[kind].add(record(**{k: v[good] for k, v in made.items()}))
 
     def _stamps(self, kind: str, array: np.ndarray) -> np.ndarray:
         """Times of messages (n,) ns from the epoch, shifted as the map says."""
@@ -142,7 +155,34 @@ class Converter:
             self._decided = True
             self.log_times = abs(float(np.median(header - array["log_time"]))) > OTHER_CLOCK_NS
         times: np.ndarray = array["log_time"] if self.log_times else header
-        return times - self.epoch_ns + self.mapping.shifts[kind]
+        return times - self.epoch_ns + self.mapping.shifts.get(kind, 0)
+
+    def _joined(self, gyro: np.ndarray, accel: np.ndarray) -> np.ndarray:
+        """Messages of the gyro with the acceleration of their time, of an accelerometer with a topic of its own."""
+        turn = frames.to_frd(self.chosen["imu"].body).T @ frames.to_frd(self.chosen["accel"].body)
+        ns = np.r_[self._force[0], self._stamps("accel", accel)]
+        force = np.concatenate([self._force[1], vector(accel["linear_acceleration"]) @ turn.T])
+        order = np.argsort(ns, kind="stable")
+        ns, force = ns[order], force[order]
+        gyro = gyro if self._gyro is None else np.concatenate([self._gyro, gyro])
+        t = self._stamps("imu", gyro)
+        ready = t <= (ns[-1] if len(ns) else np.iinfo(np.int64).min)
+        self._gyro, gyro, t = gyro[~ready], gyro[ready], t[ready]
+        self._force = ns, force
+        if not len(gyro):
+            return gyro
+        right = np.clip(np.searchsorted(ns, t), 1, max(len(ns) - 1, 1))
+        near = (t >= ns[0]) & (len(ns) > 1)
+        near[near] &= ns[right[near]] - ns[right[near] - 1] < APART_NS
+        self.counts["imu: without an acceleration near"] += int(np.sum(~near))
+        made: np.ndarray = gyro.copy()
+        made["linear_acceleration_covariance"] = 0.0
+        for i, axis in enumerate("xyz"):
+            made["linear_acceleration"][axis] = np.interp(t - ns[0], ns - ns[0], force[:, i])
+        keep = max(int(np.searchsorted(ns, t.max())) - 2, 0)
+        self._force = ns[keep:], force[keep:]
+        joined: np.ndarray = made[near]
+        return joined
 
     # ------------------------------------------------------------------------------------------- by kind
 

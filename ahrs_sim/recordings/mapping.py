@@ -2,7 +2,8 @@
 
 Everything in a map is optional:
 
-    [topics]                # imu, mag, fix, velocity, heading, diff_pressure, static_pressure, air, reference
+    [topics]                # imu, accel (where apart), mag, fix, velocity, heading, diff_pressure, static_pressure,
+                            # air, reference
     imu = "/imu/data_raw"
     heading = ""            # leave it out
     [frames]
@@ -61,6 +62,7 @@ SUITE = "bag"
 IMU = "sensor_msgs/msg/Imu"
 KINDS: dict[str, tuple[str, ...]] = {
     "imu": (IMU,),
+    "accel": (IMU,),
     "mag": ("sensor_msgs/msg/MagneticField",),
     "fix": ("sensor_msgs/msg/NavSatFix",),
     "velocity": ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/TwistWithCovarianceStamped"),
@@ -74,6 +76,7 @@ KINDS: dict[str, tuple[str, ...]] = {
 
 _LIKED = {  # words of a topic's name that speak for a kind, the best first
     "imu": ("raw",),
+    "accel": ("acc", "raw"),
     "mag": ("mag",),
     "fix": ("raw", "gnss", "gps"),
     "velocity": ("raw", "gnss", "gps"),
@@ -206,6 +209,7 @@ class Choice:
     topic: Topic
     body: str
     world: str
+    others: tuple[str, ...] = ()  # topics of the same kind that the recording offers as well
 
 
 def choose(source: Source, mapping: Map, notes: list[str] | None = None) -> dict[str, Choice]:
@@ -224,7 +228,7 @@ def choose(source: Source, mapping: Map, notes: list[str] | None = None) -> dict
     passed: list[str] = []
     for kind in KINDS:
         wanted = mapping.topics.get(kind)
-        if wanted == "":
+        if wanted == "" or (kind == "accel" and not wanted):  # found with the gyro
             continue
         taken = [c.topic.name for k, c in chosen.items() if k != "imu"]
         candidates = _candidates(kind, topics, taken) if wanted is None else [_named(kind, wanted, topics, mapping)]
@@ -237,10 +241,15 @@ def choose(source: Source, mapping: Map, notes: list[str] | None = None) -> dict
                 continue
             body, world = frames.named(first, topic.type_name)
             if kind == "reference":
-                chosen[kind] = Choice(topic, mapping.reference_body or body, mapping.reference_world or world)
+                body, world = mapping.reference_body or body, mapping.reference_world or world
             else:
-                chosen[kind] = Choice(topic, mapping.body or body, mapping.world or world)
+                body, world = mapping.body or body, mapping.world or world
+            others = [t for t in candidates if t is not topic and any(c.rank for c in candidates)]
+            fit = (t.name for t in others if not _unfit(kind, t, _first(source, t.name), source))
+            chosen[kind] = Choice(topic, body, world, tuple(fit))
             break
+    if "imu" not in chosen and mapping.topics.get("imu") is None:
+        chosen = _apart(source, topics, mapping) | chosen
     if "imu" not in chosen:
         why = f"; {passed[0]}" if passed else ""
         raise InputError(
@@ -251,13 +260,31 @@ def choose(source: Source, mapping: Map, notes: list[str] | None = None) -> dict
     return chosen
 
 
+def _apart(source: Source, topics: Mapping[str, Topic], mapping: Map) -> dict[str, Choice]:
+    """A gyro and an accelerometer with a topic each; nothing without both."""
+    chosen: dict[str, Choice] = {}
+    for kind, place, other in (
+        ("imu", "angular_velocity", "linear_acceleration"),
+        ("accel", "linear_acceleration", "angular_velocity"),
+    ):
+        for topic in _candidates(kind, topics, []):
+            first = _first(source, topic.name)
+            if not len(first) or (first[f"{place}_covariance"][:, 0] == -1.0).all():
+                continue
+            if (first[f"{other}_covariance"][:, 0] == -1.0).all():
+                body, world = frames.named(first, topic.type_name)
+                chosen[kind] = Choice(topic, mapping.body or body, mapping.world or world)
+                break
+    return chosen if len(chosen) == 2 else {}
+
+
 def _candidates(kind: str, topics: Mapping[str, Topic], taken: Sequence[str]) -> list[Topic]:
     """Topics that could be of a kind, the likeliest first."""
     found = [t for t in topics.values() if t.type_name in KINDS[kind] and t.name not in taken]
     found = [t for t in found if not any(w in t.name.lower() for w in _DISLIKED.get(kind, ()))]
     if kind in _NEEDED:
         found = [t for t in found if any(w in t.name.lower() for w in _NEEDED[kind])]
-    return sorted(found, key=lambda t: (_liking(kind, t.name), -t.count))
+    return sorted(found, key=lambda t: (t.rank, _liking(kind, t.name), -t.count))
 
 
 def _named(kind: str, wanted: str, topics: Mapping[str, Topic], mapping: Map) -> Topic:
@@ -334,5 +361,6 @@ def described(chosen: Mapping[str, Choice], duration: float) -> Sequence[str]:
         rate = (choice.topic.count - 1) / duration if duration > 0 else math.nan
         axes = {"imu": choice.body, "mag": choice.body, "velocity": choice.world}.get(kind, "")
         axes = f"{choice.body}, {choice.world}" if kind == "reference" else axes
-        lines.append(f"{kind:16s}{choice.topic.name}  {rate:.1f} Hz  {axes}".rstrip())
+        also = f"  (also there: {', '.join(choice.others)}; [topics] {kind})" if choice.others else ""
+        lines.append(f"{kind:16s}{choice.topic.name}  {rate:.1f} Hz  {axes}".rstrip() + also)
     return lines

@@ -14,7 +14,7 @@ import numpy as np
 import estimators as library
 from ahrs_sim.errors import InputError
 from ahrs_sim.recordings import frames, mapping, survey
-from ahrs_sim.recordings.convert import Calibration, Converter
+from ahrs_sim.recordings.convert import RECORDED, Calibration, Converter
 from ahrs_sim.recordings.mapping import SUITE, Choice, Map
 from ahrs_sim.recordings.sources import Source, open_source
 from ahrs_sim.scenario import Component, Gate, code, estimator_component, short_name
@@ -51,9 +51,14 @@ class Bag:
         self.source.close()
 
     @property
+    def recorded(self) -> list[str]:
+        """Names of the estimators whose attitudes came with the recording."""
+        return [k.removeprefix(RECORDED) for k in self.converter.chosen if k.startswith(RECORDED)]
+
+    @property
     def instruments(self) -> list[str]:
         """Kinds of records that come."""
-        kinds = [*self.converter.chosen]
+        kinds = [k for k in self.converter.chosen if k != "accel" and not k.startswith(RECORDED)]
         return [*kinds, "air"] if "diff_pressure" in kinds and "air" not in kinds else kinds
 
     def blocks(self) -> Iterator[dict[str, SuiteBlock]]:
@@ -76,6 +81,7 @@ def open_bag(
     names: Sequence[str] = (),
     span: tuple[float, float] = (0.0, math.inf),
     gate: Gate = _FOREIGN,
+    reference: str | None = None,
 ) -> Bag:
     """Open a recording, choose its topics, look at it once.
 
@@ -87,12 +93,15 @@ def open_bag(
         names: estimators: of the map, or methods of the catalogue; none: all of the map, else one that fits.
         span: s from the beginning; what was measured outside of it is left out.
         gate: what code from outside may run besides that of `names`.
+        reference: topic of the reference attitude, before what the map says.
 
     Raises:
         InputError: the file, the map or something asked for is wrong.
     """
     gate = gate.also(code.named(names))
     map_ = mapping.load(map_file, gate)
+    if reference is not None:
+        map_ = dataclasses.replace(map_, topics={**map_.topics, "reference": reference})
     source = open_source(path, map_.table)
     try:
         return _opened(source, map_, calibrate, sync, names, span, gate)
@@ -113,6 +122,7 @@ def _opened(
     path = source.path
     passed: list[str] = []
     chosen = mapping.choose(source, map_, passed)
+    chosen |= _recorded(source, chosen.get("reference"))
     topics = [c.topic.name for c in chosen.values()]
     nothing = Calibration(np.zeros(3), np.eye(3), map_.gyro_bias)
     first = Converter(chosen, map_, nothing, source.epoch_ns)
@@ -123,7 +133,7 @@ def _opened(
         raise InputError(f"{path}: --skip/--until: no message of {chosen['imu'].topic.name} is left")
     if not len(seen.t):
         raise InputError(f"{path}: {chosen['imu'].topic.name} has no usable message; check stamps and [time] stamps")
-    notes = [*mapping.described(chosen, source.duration), *passed]
+    notes = [*mapping.described(chosen, source.duration), *passed, *source.notes]
     if first.log_times and map_.stamps is None:
         notes.append("header stamps are of another clock: times of the log are used ([time] stamps)")
 
@@ -169,6 +179,13 @@ def _opened(
         notes=notes,
         span=span,
     )
+
+
+def _recorded(source: Source, reference: Choice | None) -> dict[str, Choice]:
+    """Attitudes that the vehicle itself estimated, but for the reference."""
+    topics = {t.name: t for t in source.topics()}
+    named = {n: topics[t] for n, t in source.recorded.items() if reference is None or t != reference.topic.name}
+    return {f"{RECORDED}{name}": Choice(topic, "FRD", "NED") for name, topic in named.items()}
 
 
 def _magnetometer_as_is(converter: Converter, source: Source, topics: list[str]) -> Iterator[SuiteBlock]:
