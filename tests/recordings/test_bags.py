@@ -362,7 +362,6 @@ def test_csv_by_its_map(tmp_path: Path, moving: Motion) -> None:
 
 
 def test_ulog(tmp_path: Path, moving: Motion) -> None:
-    pytest.importorskip("pyulog")
     write_ulog(tmp_path / "a.ulg", moving)
     bag = opened(tmp_path / "a.ulg")
     s = samples_of(bag)

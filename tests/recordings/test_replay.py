@@ -199,7 +199,6 @@ def test_compare_takes_out_delay_and_rotation(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_other_formats_leave_their_measurements(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("pyulog")
     write_ulog(tmp_path / "a.ulg", motion(30.0))
     out = tmp_path / "out.mcap"
     assert main(["replay", str(tmp_path / "a.ulg"), "-o", str(out), "--estimator", "marg-ekf@bag"]) == 0
