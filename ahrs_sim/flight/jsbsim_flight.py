@@ -17,6 +17,21 @@ from itertools import pairwise
 import numpy as np
 
 from ahrs_sim.errors import InputError
+from ahrs_sim.flight.columns import (
+    ANGULAR_ACCELERATION,
+    CENTRE_OF_GRAVITY,
+    EULER_ANGLES,
+    FORCE,
+    FT,
+    INCH,
+    OPTIONAL,
+    PLACE,
+    RATES,
+    SCALE,
+    VELOCITY,
+    WIND,
+    Column,
+)
 from ahrs_sim.flight.fdm import Fdm
 from ahrs_sim.flight.manoeuvres import parse_steps
 from ahrs_sim.flight.pilot import Pilot
@@ -25,59 +40,12 @@ from ahrs_sim.flight.turbulence import RoughAir
 from ahrs_sim.scenario import Gust, Scenario, seeds
 from ahrs_sim.world import wgs84
 
-FT = 0.3048  # m
-INCH = 0.0254  # m
-PSF = 47.88025898033584  # Pa
-RANKINE = 5.0 / 9.0  # K
-
 EULER, ADAMS_BASHFORTH_2, BUSS_2 = 1, 3, 7  # JSBSim's integrators
 
 PILOT_RATE = 50.0  # Hz
 SETTLE_GROUND = 4.0  # s until the springs of the wheels are at rest
 SETTLE_AIR = 15.0  # s until motor, trim and holds are
 HARD = 6.0  # m/s, sink rate at touchdown that no wheel survives
-
-# Property and factor to SI of each column of the raw block.
-_COLUMNS: tuple[tuple[str, float], ...] = (
-    ("position/lat-geod-rad", 1.0),
-    ("position/long-gc-rad", 1.0),
-    ("position/geod-alt-ft", FT),
-    ("velocities/v-north-fps", FT),
-    ("velocities/v-east-fps", FT),
-    ("velocities/v-down-fps", FT),
-    ("attitude/phi-rad", 0.5),  # half angles: what the quaternion needs
-    ("attitude/theta-rad", 0.5),
-    ("attitude/psi-rad", 0.5),
-    ("velocities/pi-rad_sec", 1.0),
-    ("velocities/qi-rad_sec", 1.0),
-    ("velocities/ri-rad_sec", 1.0),
-    ("accelerations/pidot-rad_sec2", 1.0),
-    ("accelerations/qidot-rad_sec2", 1.0),
-    ("accelerations/ridot-rad_sec2", 1.0),
-    ("forces/fbx-total-lbs", FT),  # lbf / slug = ft/s2
-    ("forces/fby-total-lbs", FT),
-    ("forces/fbz-total-lbs", FT),
-    ("inertia/cg-x-in", -INCH),  # structural axes are aft, right, up
-    ("inertia/cg-y-in", INCH),
-    ("inertia/cg-z-in", -INCH),
-    ("atmosphere/total-wind-north-fps", FT),
-    ("atmosphere/total-wind-east-fps", FT),
-    ("atmosphere/total-wind-down-fps", FT),
-    ("inertia/mass-slugs", 1.0),
-    ("velocities/vt-fps", FT),
-    ("aero/alpha-rad", 1.0),
-    ("aero/beta-rad", 1.0),
-    ("atmosphere/P-psf", PSF),
-    ("atmosphere/T-R", RANKINE),
-    ("position/h-agl-ft", FT),
-    ("gear/wow", 1.0),
-    ("propulsion/engine/propeller-rpm", 1.0),
-    ("fcs/throttle-pos-norm", 1.0),
-)
-_SCALE = np.array([factor for _, factor in _COLUMNS])
-_OPTIONAL = ("propulsion/engine/propeller-rpm", "fcs/throttle-pos-norm")  # gliders and jets have none: 0
-VEL_DOWN, HEIGHT_AGL, WOW = 5, 30, 31  # columns that are read before conversion
-VELOCITY, EULER_ANGLES = slice(3, 6), slice(6, 9)
 
 
 class JsbsimFlight:
@@ -124,7 +92,7 @@ class JsbsimFlight:
         self._choose_integrators(True)
         self._wind(scenario)
         self._gusts = list(scenario.wind.gusts)
-        self._get = [_reader(fdm, name) for name, _ in _COLUMNS]
+        self._get = [_reader(fdm, column) for column in Column]
         self._contacts = _contacts(fdm)
         self._pilot = Pilot(fdm, steps, scenario.start.altitude, scenario.start.heading, self.dt * self._every)
         if scenario.pilot_attitude != "truth" and self._pilot.autopilot is None:
@@ -133,7 +101,7 @@ class JsbsimFlight:
         air = RoughAir.wanted(scenario.wind)
         self._air = RoughAir(fdm, scenario.wind, scenario.seed, self._every) if air else None
         self._settle(scenario)
-        place = [fdm[name] * scale for name, scale in _COLUMNS[:3]]
+        place = [fdm[column.source] * column.factor for column in list(Column)[PLACE]]
         self.start_lla = np.array(place)
         self._run = fdm.exec.run
         self._next = 0  # number of the next row
@@ -149,7 +117,7 @@ class JsbsimFlight:
 
     def process(self, n: int) -> Truth:
         """The next up to `n` rows; fewer when the flight ends, none when it is over."""
-        raw = np.empty((n, len(_COLUMNS)))
+        raw = np.empty((n, len(Column)))
         k = 0
         get, every = self._get, self._every
         run, air = self._run, self._air
@@ -267,10 +235,10 @@ class JsbsimFlight:
         if self._next >= self._rows:
             self._finish(None)
             return False
-        if not math.isfinite(row[HEIGHT_AGL]):
+        if not math.isfinite(row[Column.HEIGHT_AGL]):
             self.done = True  # `_truth` finds the first bad row and says so
             return False
-        self._choose_integrators(row[HEIGHT_AGL] < self._low)
+        self._choose_integrators(row[Column.HEIGHT_AGL] < self._low)
         if not self._scripted and (reason := self._crash(row)):
             self._events.append(Event(t, "error", "flight", f"crash: {reason}"))
             self._finish(f"crash at {t:.1f} s{self._pilot.during()}: {reason}")
@@ -287,7 +255,7 @@ class JsbsimFlight:
         """The air until the pilot acts again."""
         if self._air is not None:
             velocity = [FT * x for x in row[VELOCITY]]
-            self._air.ahead(FT * row[HEIGHT_AGL], velocity, row[EULER_ANGLES])
+            self._air.ahead(FT * row[Column.HEIGHT_AGL], velocity, row[EULER_ANGLES])
 
     def _choose_integrators(self, near_ground: bool) -> None:
         """How rates and velocities are integrated: Adams-Bashforth 2 in the air, Euler near the ground.
@@ -303,13 +271,13 @@ class JsbsimFlight:
                 put(EULER if near_ground else ADAMS_BASHFORTH_2)
 
     def _crash(self, row: list[float]) -> str | None:
-        if row[HEIGHT_AGL] < 0.0:
+        if row[Column.HEIGHT_AGL] < 0.0:
             return "the aircraft is below the ground"
-        if row[WOW] > 0.0 and row[VEL_DOWN] * FT > HARD:
-            return f"hit the ground at {row[VEL_DOWN] * FT:.1f} m/s"
+        if row[Column.WHEELS] > 0.0 and row[Column.VEL_DOWN] * FT > HARD:
+            return f"hit the ground at {row[Column.VEL_DOWN] * FT:.1f} m/s"
         for resting, wow in zip(self._resting, self._contacts, strict=True):
             if wow() > 0.0 and not resting:
-                return f"the airframe touched the ground at {math.hypot(*row[3:6]) * FT:.1f} m/s"
+                return f"the airframe touched the ground at {math.hypot(*row[VELOCITY]) * FT:.1f} m/s"
         return None
 
     def _gust(self, t: float, gust: Gust) -> None:
@@ -340,8 +308,9 @@ class JsbsimFlight:
             self._finish(f"the state is not a number any more at {first * self.dt:.2f} s{self._pilot.during()}")
             self._events.append(Event(first * self.dt, "error", "flight", "the state is not a number any more"))
         n = len(raw)
-        column = np.multiply(raw.T, _SCALE[:, None], order="C")  # (columns, n)
-        cos, sin = np.cos(column[6:9]), np.sin(column[6:9])
+        column = np.multiply(raw.T, SCALE[:, None], order="C")  # (columns, n)
+        half = column[EULER_ANGLES]
+        cos, sin = np.cos(half), np.sin(half)
         q = np.empty((n, 4))
         q[:, 0] = cos[0] * cos[1] * cos[2] + sin[0] * sin[1] * sin[2]
         q[:, 1] = sin[0] * cos[1] * cos[2] - cos[0] * sin[1] * sin[2]
@@ -349,30 +318,30 @@ class JsbsimFlight:
         q[:, 3] = cos[0] * cos[1] * sin[2] - sin[0] * sin[1] * cos[2]
         return Truth(
             t=np.arange(self._next - n, self._next) * self.dt,
-            lla=np.ascontiguousarray(column[0:3].T),
-            vel_n=np.ascontiguousarray(column[3:6].T),
+            lla=np.ascontiguousarray(column[PLACE].T),
+            vel_n=np.ascontiguousarray(column[VELOCITY].T),
             q_nb=q,
-            rate_ib_b=np.ascontiguousarray(column[9:12].T),
-            rate_dot_b=np.ascontiguousarray(column[12:15].T),
-            accel_b=np.ascontiguousarray((column[15:18] / column[24]).T),
-            cg_b=np.ascontiguousarray(column[18:21].T),
-            wind_n=np.ascontiguousarray(column[21:24].T),
-            airspeed=column[25],
-            alpha=column[26],
-            beta=column[27],
-            pressure=column[28],
-            temperature=column[29],
-            height_agl=column[HEIGHT_AGL],
-            on_ground=column[WOW] > 0.0,
-            rpm=column[32],
-            throttle=column[33],
+            rate_ib_b=np.ascontiguousarray(column[RATES].T),
+            rate_dot_b=np.ascontiguousarray(column[ANGULAR_ACCELERATION].T),
+            accel_b=np.ascontiguousarray((column[FORCE] / column[Column.MASS]).T),
+            cg_b=np.ascontiguousarray(column[CENTRE_OF_GRAVITY].T),
+            wind_n=np.ascontiguousarray(column[WIND].T),
+            airspeed=column[Column.AIRSPEED],
+            alpha=column[Column.ALPHA],
+            beta=column[Column.BETA],
+            pressure=column[Column.PRESSURE],
+            temperature=column[Column.TEMPERATURE],
+            height_agl=column[Column.HEIGHT_AGL],
+            on_ground=column[Column.WHEELS] > 0.0,
+            rpm=column[Column.RPM],
+            throttle=column[Column.THROTTLE],
         )
 
 
-def _reader(fdm: Fdm, name: str) -> Callable[[], float]:
-    if name in _OPTIONAL and not fdm.has(name):
+def _reader(fdm: Fdm, column: Column) -> Callable[[], float]:
+    if column in OPTIONAL and not fdm.has(column.source):
         return lambda: 0.0
-    return fdm.getter(name)
+    return fdm.getter(column.source)
 
 
 def _units(fdm: Fdm, prefix: str) -> list[str]:

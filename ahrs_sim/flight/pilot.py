@@ -11,12 +11,11 @@ import numpy as np
 
 from ahrs_sim.errors import InputError
 from ahrs_sim.flight.autopilot import Autopilot, State, wrap
+from ahrs_sim.flight.columns import FT, Column
 from ahrs_sim.flight.fdm import Fdm
 from ahrs_sim.flight.manoeuvres import Failure, HandOver, Manoeuvre
 from ahrs_sim.flight.truth import Event, Setpoints
 from ahrs_sim.world import wgs84
-
-FT = 0.3048  # m
 
 
 class Pilot:
@@ -175,23 +174,23 @@ class Pilot:
         return f"step {self._number + 1} ({self._steps[self._number].name})"
 
     def _look(self, t: float, row: Sequence[float]) -> None:
-        """Fill `state`; the columns are those of `jsbsim_flight._COLUMNS`."""
-        state = self.state
+        """Fill `state` from a raw row of the flight and the autopilot's inputs."""
+        state, latitude, longitude = self.state, row[Column.LATITUDE], row[Column.LONGITUDE]
         if self._origin is None:
-            meridian, prime = wgs84.radii(np.array(row[0]))
-            self._origin = (row[0], row[1], float(meridian), float(prime) * math.cos(row[0]))
+            meridian, prime = wgs84.radii(np.array(latitude))
+            self._origin = (latitude, longitude, float(meridian), float(prime) * math.cos(latitude))
             state.heading = self._get[2]()
         lat, lon, per_lat, per_lon = self._origin
         state.t = t
-        state.north = (row[0] - lat) * per_lat
-        state.east = (row[1] - lon) * per_lon
-        state.altitude = row[2] * FT
+        state.north = (latitude - lat) * per_lat
+        state.east = (longitude - lon) * per_lon
+        state.altitude = row[Column.HEIGHT] * FT
         state.height = state.altitude - self._ground
-        state.ground_speed = math.hypot(row[3], row[4]) * FT
-        state.course = math.atan2(row[4], row[3])
-        state.climb = -row[5] * FT
-        state.airspeed = row[25] * FT
-        state.on_ground = row[31] > 0.0
+        state.ground_speed = math.hypot(row[Column.VEL_NORTH], row[Column.VEL_EAST]) * FT
+        state.course = math.atan2(row[Column.VEL_EAST], row[Column.VEL_NORTH])
+        state.climb = -row[Column.VEL_DOWN] * FT
+        state.airspeed = row[Column.AIRSPEED] * FT
+        state.on_ground = row[Column.WHEELS] > 0.0
         before = state.heading
         state.roll, state.pitch, state.heading, p, state.q, _ = (get() for get in self._get)
         state.turned += wrap(state.heading - before)
