@@ -59,7 +59,7 @@ class AirspeedAid:
         self._tau, self._least = speed_filter, speed_min
         self._t = self._smooth = math.nan
 
-    def process(self, samples: Samples) -> np.ndarray:
+    def correct(self, samples: Samples) -> np.ndarray:
         """Corrected specific force (n, 3), m/s2."""
         speed, slope = np.where(samples.airspeed >= self._least, samples.airspeed, 0.0), np.zeros(len(samples))
         for k, (t, now) in enumerate(zip(samples.t.tolist(), samples.airspeed.tolist(), strict=True)):
@@ -149,7 +149,7 @@ class Peer:
         n = len(samples)
         out = blank(Estimates, n)
         out["t"][:] = samples.t
-        accel_b = self._aid.process(samples) if self._aid is not None else samples.accel_b
+        accel_b = self._aid.correct(samples) if self._aid is not None else samples.accel_b
         usable = np.isfinite(samples.gyro_b).all(axis=1) & np.isfinite(accel_b).all(axis=1)
         magnetic = np.isfinite(samples.mag_b).all(axis=1)
         if math.isnan(self._t):

@@ -2,21 +2,22 @@
 
     flight -> sensors -> estimators -> log, accuracy
 
-Each stage has `process(block) -> block` and keeps its own state. When an estimator flies the aircraft a block is one
-IMU sample long, else seconds; nothing else differs, and the log's bytes do not depend on it.
+Every stage takes a block and gives one (`Flight.fly`, `Chain.sense`, `assemble`, `estimate`) and keeps its own state.
+When an estimator flies the aircraft a block is one IMU sample long, else seconds; nothing else differs, and the log's
+bytes do not depend on it.
 """
 
 import contextlib
 import dataclasses
 import platform
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ahrs_sim import plugins
+from ahrs_sim.chain import Chain, site
 from ahrs_sim.errors import FlightError
 from ahrs_sim.evaluation.decimate import RowDecimator
 from ahrs_sim.flight import BLOCK_S, Flight, open_flight
@@ -25,24 +26,13 @@ from ahrs_sim.log.flight_log import FlightLog
 from ahrs_sim.log.mcap.writer import Listener
 from ahrs_sim.log.topics import TRUTH_RATE
 from ahrs_sim.scenario import Scenario, create_estimator
-from ahrs_sim.sensors import Assembler, Suite, make_suite
+from ahrs_sim.sensors import make_suite
 from ahrs_sim.sensors.faults import check_suites
 from ahrs_sim.sensors.records import Record
-from ahrs_sim.world import gravity, magnetic
 from estimators.types import Estimates, SensorInfo, Site
 
 if TYPE_CHECKING:
     from ahrs_sim.evaluation.accuracy import Accuracy
-
-
-@dataclass
-class Chain:
-    """A sensor suite and the estimators that listen to it."""
-
-    suite: Suite
-    assembler: Assembler
-    estimators: dict[str, plugins.Processes]
-    waiting: list[Truth] = field(default_factory=list)  # until the log is next written, where nobody is in a hurry
 
 
 def fly(
@@ -78,8 +68,8 @@ def fly(
     rows = max(1, round(block_s * scenario.rate))
     if flight is None:
         flight = open_flight(scenario)
-    site = site_of(scenario, flight)
-    chains = _chains(scenario, site, flight)
+    place = site(flight.start_lla, scenario.epoch)
+    chains = _chains(scenario, place, flight)
     if closed_loop:
         rows = _rows_per_sample(scenario, chains)
     with contextlib.ExitStack() as stack:
@@ -92,22 +82,22 @@ def fly(
                 suites={c.suite.name: c.suite.instruments for c in chains},
                 estimators=[name for c in chains for name in c.estimators],
                 attachments={"scenario.toml": scenario.toml().encode(), **flight.attachments()},
-                metadata=_metadata(scenario, site, chains),
+                metadata=_metadata(scenario, place, chains),
                 force=force,
                 listener=live,
             )
             stack.enter_context(log)
         record = _Recorder(log, accuracy, scenario.rate)
         record.events([Event(0.0, "warning", "scenario", note) for note in scenario.notes])
-        while len(truth := flight.process(rows)):
+        while len(truth := flight.fly(rows)):
             t = float(truth.t[-1])
             record.truth(truth)
             record.setpoints(flight.take_setpoints())
             due = record.due(t)
             for chain in chains:
-                chain.waiting.append(truth)
+                chain.pending.append(truth)
                 if due or not closed_loop or scenario.pilot_attitude in chain.estimators:
-                    _listen(chain, record, flight, scenario.pilot_attitude)
+                    _run(chain, record, flight, scenario.pilot_attitude)
             record.events(flight.take_events())
             progress(t, scenario.duration or flight.expected_duration)
             if stopped():
@@ -116,7 +106,7 @@ def fly(
             if due:
                 record.flush(t)
         for chain in chains:
-            _listen(chain, record, flight, scenario.pilot_attitude)
+            _run(chain, record, flight, scenario.pilot_attitude)
         record.events(flight.take_events())
         record.flush()
     if flight.error:
@@ -126,23 +116,20 @@ def fly(
         raise FlightError(f"{scenario.where}: {failed}")
 
 
-def _listen(chain: Chain, record: "_Recorder", flight: Flight, pilot: str) -> None:
-    """What was flown since the last call through the sensors and estimators of a chain."""
-    if not chain.waiting:
+def _run(chain: Chain, record: "_Recorder", flight: Flight, pilot: str) -> None:
+    """Take what was flown since the last call through the sensors and estimators of a chain."""
+    if not chain.pending:
         return
-    block = chain.suite.process(Truth.concatenate(chain.waiting))
-    chain.waiting.clear()
-    for instrument, sent in block.items():
+    records = chain.sense(Truth.concatenate(chain.pending))
+    chain.pending.clear()
+    for instrument, sent in records.items():
         record.record(chain.suite.name, instrument, sent)
-    samples = chain.assembler.process(block)
-    for name, estimator in chain.estimators.items():
-        estimates = estimator.process(samples)
+    samples = chain.assemble(records)
+    for name, estimates in chain.estimate(samples):
         record.estimates(name, estimates)
-        if isinstance(estimator, plugins.Guarded):
-            record.events(estimator.take_events())
         if name == pilot:
             _feed_back(flight, estimates, samples.gyro_b)
-    record.events(chain.suite.take_events())
+    record.events(chain.take_events())
 
 
 class _Recorder:
@@ -216,17 +203,7 @@ class _Recorder:
             log.advance(t)
 
 
-def site_of(scenario: Scenario, flight: Flight) -> Site:
-    """What a navigator knows of the place where a flight begins."""
-    latitude, longitude, height = map(float, flight.start_lla)
-    return Site(
-        lla=(latitude, longitude, height),
-        gravity=float(gravity.normal_gravity(flight.start_lla)),
-        mag_n=tuple(magnetic.field_n(flight.start_lla[None], scenario.epoch)[0]),
-    )
-
-
-def _chains(scenario: Scenario, site: Site, flight: Flight) -> list[Chain]:
+def _chains(scenario: Scenario, place: Site, flight: Flight) -> list[Chain]:
     chains = []
     check_suites(scenario.faults, [s.name for s in scenario.suites])
     for component in scenario.suites:
@@ -235,31 +212,31 @@ def _chains(scenario: Scenario, site: Site, flight: Flight) -> list[Chain]:
             seed=scenario.seed,
             dt=flight.dt,
             epoch=scenario.epoch,
-            start_lla=np.array(site.lla),
+            start_lla=np.array(place.lla),
             faults=scenario.faults,
         )
-        listening = {
-            e.name: create_estimator(e, site, suite.info)
+        fed = {
+            e.name: create_estimator(e, place, suite.info)
             for e in scenario.estimators
             if e.settings["suite"] == suite.name
         }
-        chains.append(Chain(suite, Assembler(), listening))
+        chains.append(Chain(suite, fed))
     return chains
 
 
 def _rows_per_sample(scenario: Scenario, chains: list[Chain]) -> int:
-    """Rows of truth from one sample of the flying estimator's IMU to the next."""
+    """Count rows of truth between samples of the IMU whose estimator flies."""
     rate = next(c.suite.info.rate for c in chains if scenario.pilot_attitude in c.estimators)
     return max(1, round(scenario.rate / rate))
 
 
 def _feed_back(flight: Flight, estimates: Estimates, gyro_b: np.ndarray) -> None:
-    """The last estimate to the autopilot, once there is one."""
+    """Give the last estimate to the autopilot, once there is one."""
     if len(estimates) and np.isfinite(estimates.q_nb[-1, 0]):
         flight.feedback(estimates.q_nb[-1], gyro_b[-1] - np.nan_to_num(estimates.gyro_bias[-1]))
 
 
-def _metadata(scenario: Scenario, site: Site, chains: list[Chain]) -> dict[str, dict[str, str]]:
+def _metadata(scenario: Scenario, place: Site, chains: list[Chain]) -> dict[str, dict[str, str]]:
     from importlib.metadata import version
 
     packages = ("ahrs-sim", "jsbsim", "numpy", "numba", "wmm-calculator")
@@ -274,10 +251,10 @@ def _metadata(scenario: Scenario, site: Site, chains: list[Chain]) -> dict[str, 
     suites = {f"suite {c.suite.name}": c.suite.specification() for c in chains}
     sheets = {f"sensors {c.suite.name}": exactly(c.suite.info) for c in chains}
     methods = {f"estimator {e.name}": {k: str(v) for k, v in e.settings.items()} for e in scenario.estimators}
-    return {"flight": flight, "versions": versions, "site": exactly(site), **sheets, **suites, **methods}
+    return {"flight": flight, "versions": versions, "site": exactly(place), **sheets, **suites, **methods}
 
 
 def exactly(known: Site | SensorInfo) -> dict[str, str]:
-    """What estimators are told, as texts that give the same numbers again: a replay needs neither grades nor models."""
+    """Serialise a site or a data sheet losslessly for the log's metadata: a replay needs neither grades nor models."""
     values = dataclasses.asdict(known)
     return {k: " ".join(repr(float(x)) for x in np.atleast_1d(v)) for k, v in values.items()}

@@ -16,14 +16,14 @@ import numpy as np
 
 from ahrs_sim import plugins
 from ahrs_sim import scenario as scenarios
+from ahrs_sim.chain import recorded_chains
 from ahrs_sim.errors import FlightError, InputError
 from ahrs_sim.log.flight_log import EstimateTopics
 from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.mcap.writer import CarriedChannel, Listener, LogWriter
 from ahrs_sim.log.topics import INSTRUMENTS, REFERENCE
 from ahrs_sim.recordings.sources import is_mcap
-from ahrs_sim.scenario import Component, Gate, create_estimator
-from ahrs_sim.sensors.assemble import Assembler
+from ahrs_sim.scenario import Component, Gate
 from ahrs_sim.sensors.records import SuiteBlock, within
 from estimators.types import Estimates, SensorInfo, Site, blank
 
@@ -193,15 +193,15 @@ def evaluate(
 
         recording = of_flight(log, estimators, truth, *topics, gate=gate)
         errors = Accuracy([c.name for c in recording.estimators])
-        chains = _chains(recording)
-        if any(isinstance(e, plugins.Guarded) for _, on_suite in chains.values() for e in on_suite.values()):
+        chains = recorded_chains(recording.estimators, recording.site, recording.sensors)
+        if any(isinstance(e, plugins.Guarded) for chain in chains.values() for e in chain.estimators.values()):
             return None  # may fail, which a log keeps
         for blocks in recording.blocks:
             reached = 0.0
-            for suite, (assembler, listening) in chains.items():
-                samples = assembler.process(blocks[suite])
-                for name, estimator in listening.items():
-                    errors.add_estimates(name, estimator.process(samples))
+            for suite, chain in chains.items():
+                samples = chain.assemble(blocks[suite])
+                for name, estimates in chain.estimate(samples):
+                    errors.add_estimates(name, estimates)
                 if len(samples):
                     reached = max(reached, float(samples.t[-1]))
             progress(reached, recording.duration)
@@ -259,15 +259,6 @@ def _known(log: FlightReader, name: str, cls: Any) -> Any:
         ) from None
 
 
-def _chains(recording: Recording) -> dict[str, tuple[Assembler, dict[str, Any]]]:
-    """By suite: what makes samples, and the estimators that see them, by name."""
-    chains: dict[str, tuple[Assembler, dict[str, Any]]] = {suite: (Assembler(), {}) for suite in recording.sensors}
-    for component in recording.estimators:
-        suite = component.settings["suite"]
-        chains[suite][1][component.name] = create_estimator(component, recording.site, recording.sensors[suite])
-    return chains
-
-
 def _run(
     recording: Recording,
     output: Path,
@@ -276,7 +267,7 @@ def _run(
     progress: Callable[[float, float | None], None],
     live: Listener | None,
 ) -> None:
-    chains = _chains(recording)
+    chains = recorded_chains(recording.estimators, recording.site, recording.sensors)
     names = [*(c.name for c in recording.estimators), *recording.recorded]
     with LogWriter(output, epoch_ns=recording.epoch_ns, force=force, listener=live) as writer:
         passing = _Passing(recording, writer, prefixes)
@@ -294,16 +285,15 @@ def _run(
                     reference: Any = block["reference"]
                     known = np.isfinite(reference.q_nb).all(axis=1)
                     topics.reference(reference.stamp_ns[known] / 1e9, reference.q_nb[known])
-                assembler, listening = chains[suite]
-                samples = assembler.process(block)
-                for name, estimator in listening.items():
-                    topics.write(name, estimator.process(samples))
+                samples = chains[suite].assemble(block)
+                for name, estimates in chains[suite].estimate(samples):
+                    topics.write(name, estimates)
                 if len(samples):
                     reached = max(reached, float(samples.t[-1]))
             progress(reached, recording.duration)
             passing.advance(recording.epoch_ns + round((reached - _HOLD_S) * 1e9))
         passing.rest()
-    if failed := plugins.failures(e for _, on_suite in chains.values() for e in on_suite.values()):
+    if failed := plugins.failures(e for chain in chains.values() for e in chain.estimators.values()):
         raise FlightError(f"{failed}; the log is complete: {output}")
 
 

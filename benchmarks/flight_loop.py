@@ -33,7 +33,7 @@ def main() -> None:
             run()
         middle = time.process_time()
         for _ in range(options.rows // 1000):
-            recorded.process(1000)
+            recorded.fly(1000)
         pairs.append((middle - start, time.process_time() - middle))
         recorded.take_setpoints()
     scale = 1e6 / options.rows

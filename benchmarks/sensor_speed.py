@@ -35,7 +35,7 @@ def main() -> None:
     options = parser.parse_args()
     scene = scenario.parse(SCENE, "benchmark", "benchmark")
     started = time.perf_counter()
-    suites(scene)[0].process(JsbsimFlight(scene).process(800))
+    suites(scene)[0].sense(JsbsimFlight(scene).fly(800))
     print(f"first block, compilation or its cache included {time.perf_counter() - started:6.2f} s")
 
     rows, block = round(options.seconds * scene.rate), round(options.block * scene.rate)
@@ -48,10 +48,10 @@ def main() -> None:
             for _ in range(block):
                 loop()
             middle = time.process_time()
-            truth = flight.process(block)
+            truth = flight.fly(block)
             ready = time.process_time()
             for suite in fitted:
-                suite.process(truth)
+                suite.sense(truth)
             spent += time.process_time() - ready
             spent_bare += middle - begin
         ratios.append(spent / spent_bare)
@@ -76,9 +76,9 @@ def closed_loop(scene: scenario.Scenario, truth: Truth) -> None:
         spent = np.zeros(2)
         for i in range(0, len(truth) - 3, 4):
             begin = time.process_time()
-            sent = suite.process(truth[i : i + 4])
+            sent = suite.sense(truth[i : i + 4])
             middle = time.process_time()
-            assembler.process(sent)
+            assembler.assemble(sent)
             spent += [middle - begin, time.process_time() - middle]
         costs.append(1e6 * spent / (len(truth) // 4))
     sensing, assembling = np.mean(costs, axis=0)

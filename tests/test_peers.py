@@ -163,18 +163,18 @@ def test_a_turn_needs_the_airspeed(peer):
 
 def test_airspeed_aid_is_exact():
     q, samples = turn(5)
-    np.testing.assert_allclose(AirspeedAid(0.5, 8.0).process(samples), to_body(q, [0, 0, -G]), atol=1e-9)
+    np.testing.assert_allclose(AirspeedAid(0.5, 8.0).correct(samples), to_body(q, [0, 0, -G]), atol=1e-9)
     n = len(samples)
     t = np.arange(n) / SENSORS.rate
     samples.airspeed[:] = 20 + 1.5 * t
     samples.gyro_b[:] = 0.0
     samples.accel_b[:] = [1.5, 0, -G]
-    corrected = AirspeedAid(0.5, 8.0).process(samples)
+    corrected = AirspeedAid(0.5, 8.0).correct(samples)
     np.testing.assert_allclose(corrected[-1], [0, 0, -G], atol=0.05)
     halves = AirspeedAid(0.5, 8.0)
-    np.testing.assert_array_equal(np.vstack([halves.process(samples[:33]), halves.process(samples[33:])]), corrected)
+    np.testing.assert_array_equal(np.vstack([halves.correct(samples[:33]), halves.correct(samples[33:])]), corrected)
     samples.airspeed[:100], samples.airspeed[100:] = math.nan, 5.0
-    np.testing.assert_array_equal(AirspeedAid(0.5, 8.0).process(samples), samples.accel_b)
+    np.testing.assert_array_equal(AirspeedAid(0.5, 8.0).correct(samples), samples.accel_b)
 
 
 def test_true_heading_once(peer):

@@ -5,9 +5,9 @@ import pytest
 
 import estimators
 from ahrs_sim import scenario as scenarios
+from ahrs_sim.chain import site
 from ahrs_sim.evaluation import metrics
 from ahrs_sim.flight import open_flight
-from ahrs_sim.pipeline import site_of
 from ahrs_sim.scenario import create_estimator as create
 from ahrs_sim.sensors import Assembler, make_suite
 from estimators import Status
@@ -38,15 +38,15 @@ def test_two_hours_with_the_catalogue(tmp_path):
     names = {m.name for m in estimators.describe() if m.own}
     scenario = scenarios.load(str(path))
     flight = open_flight(scenario)
-    site = site_of(scenario, flight)
-    fit = {"seed": 1, "dt": flight.dt, "epoch": scenario.epoch, "start_lla": np.array(site.lla)}
+    place = site(flight.start_lla, scenario.epoch)
+    fit = {"seed": 1, "dt": flight.dt, "epoch": scenario.epoch, "start_lla": np.array(place.lla)}
     suite = make_suite(scenario.suites[0], **fit)
-    flying = {e.name: create(e, site, suite.info) for e in scenario.estimators if e.settings["method"] in names}
+    flying = {e.name: create(e, place, suite.info) for e in scenario.estimators if e.settings["method"] in names}
     assert len(flying) >= len(names)
     assembler = Assembler()
     rms = {name: [] for name in flying}
-    while len(truth := flight.process(round(BLOCK_S / flight.dt))):
-        samples = assembler.process(suite.process(truth))
+    while len(truth := flight.fly(round(BLOCK_S / flight.dt))):
+        samples = assembler.assemble(suite.sense(truth))
         reference = metrics.interpolate(truth.t, truth.q_nb, samples.t)
         for name, estimator in flying.items():
             said = estimator.process(samples)

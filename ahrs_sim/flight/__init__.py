@@ -25,7 +25,7 @@ class Flight(Protocol):
     expected_duration: float | None
     """s, about; None when nobody knows."""
 
-    def process(self, n: int) -> Truth:
+    def fly(self, n: int) -> Truth:
         """The next up to `n` rows, from t = 0 on; fewer when the flight ends, none when it is over."""
         ...
 

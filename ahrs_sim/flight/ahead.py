@@ -27,7 +27,7 @@ def _fly(scenario: Scenario, rows: int, pipe: Connection) -> None:
         try:
             flight = open_flight(scenario)
             pipe.send((flight.dt, flight.start_lla, flight.expected_duration, flight.attachments()))
-            while len(truth := flight.process(rows)):
+            while len(truth := flight.fly(rows)):
                 pipe.send((truth, flight.take_setpoints(), flight.take_events()))
             pipe.send((DONE, flight.error, flight.take_events()))
         except AhrsSimError as error:
@@ -75,7 +75,7 @@ class FlightAhead:
             raise received
         return received
 
-    def process(self, n: int) -> Truth:
+    def fly(self, n: int) -> Truth:
         """The next block, whatever `n`; none when the flight is over."""
         if not self.done:
             first, second, events = self._receive()

@@ -115,7 +115,7 @@ class JsbsimFlight:
 
     # -- what the pipeline calls
 
-    def process(self, n: int) -> Truth:
+    def fly(self, n: int) -> Truth:
         """The next up to `n` rows; fewer when the flight ends, none when it is over."""
         raw = np.empty((n, len(Column)))
         k = 0

@@ -396,7 +396,7 @@ class MotionFlight:
         self._wind_n = np.array([-wind.speed * math.cos(wind.from_), -wind.speed * math.sin(wind.from_), 0.0])
         self._events = [Event(0.0, "info", "flight", f"motion '{kind}' begins")]
 
-    def process(self, n: int) -> Truth:
+    def fly(self, n: int) -> Truth:
         """The next up to `n` rows; fewer at the end, none when it is over."""
         n = max(0, min(n, self._rows - self._next))
         t = np.arange(self._next, self._next + n) * self.dt

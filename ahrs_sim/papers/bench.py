@@ -9,12 +9,12 @@ import numpy as np
 
 import estimators
 from ahrs_sim import scenario as scenarios
+from ahrs_sim.chain import Chain, site
 from ahrs_sim.evaluation import metrics
 from ahrs_sim.flight import open_flight
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.scenario import Scenario
-from ahrs_sim.sensors import Assembler, make_suite
-from ahrs_sim.world import gravity, magnetic
+from ahrs_sim.sensors import make_suite
 from estimators.estimator import FilterEstimator
 from estimators.rotations import turn
 from estimators.types import Estimates, Samples, SensorInfo, Site
@@ -58,14 +58,9 @@ def fly(data: Mapping[str, Any], name: str) -> Flown:
     scenario = scenarios.parse(dict(data), f"papers: {name}", name)
     flight = open_flight(scenario)
     blocks = []
-    while len(block := flight.process(4000)):
+    while len(block := flight.fly(4000)):
         blocks.append(block)
-    site = Site(
-        lla=(float(flight.start_lla[0]), float(flight.start_lla[1]), float(flight.start_lla[2])),
-        gravity=float(gravity.normal_gravity(flight.start_lla)),
-        mag_n=tuple(magnetic.field_n(flight.start_lla[None], scenario.epoch)[0]),
-    )
-    return Flown(scenario, Truth.concatenate(blocks), site)
+    return Flown(scenario, Truth.concatenate(blocks), site(flight.start_lla, scenario.epoch))
 
 
 def measure(flown: Flown, suite: Mapping[str, Any], seed: int, faults: Sequence[Mapping[str, Any]] = ()) -> Measured:
@@ -82,8 +77,8 @@ def measure(flown: Flown, suite: Mapping[str, Any], seed: int, faults: Sequence[
         start_lla=np.array(flown.site.lla),
         faults=with_suite.faults,
     )
-    assembler, truth, step = Assembler(), flown.truth, 4000
-    blocks = [assembler.process(made.process(truth[k : k + step])) for k in range(0, len(truth), step)]
+    chain, truth, step = Chain(made, {}), flown.truth, 4000
+    blocks = [chain.assemble(chain.sense(truth[k : k + step])) for k in range(0, len(truth), step)]
     return Measured(flown, Samples.concatenate(blocks), made.info)
 
 

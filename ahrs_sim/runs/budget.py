@@ -16,16 +16,16 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim import scenario as scenarios
+from ahrs_sim.chain import Chain, site
 from ahrs_sim.errors import FlightError, InputError, nearest
 from ahrs_sim.evaluation.evaluator import Comparison, Evaluator
 from ahrs_sim.evaluation.metrics import Measure
 from ahrs_sim.flight import open_flight
 from ahrs_sim.flight.truth import Truth
-from ahrs_sim.pipeline import site_of
 from ahrs_sim.runs import pool as runs
 from ahrs_sim.scenario import Component, Gate, Scenario, create_estimator
-from ahrs_sim.sensors import Assembler, Suite, make_suite
-from estimators.types import Samples, SensorInfo, Site
+from ahrs_sim.sensors import Suite, make_suite
+from estimators.types import SensorInfo, Site
 
 BLOCK_S = 5.0
 """s of flight that go through all variants at once."""
@@ -255,24 +255,24 @@ class _Variant:
     """A suite with some of its errors, and the estimator on it."""
 
     def __init__(
-        self, suite: Suite, component: Component, site: Site, sheet: SensorInfo, span: tuple[float, float]
+        self, suite: Suite, component: Component, place: Site, sheet: SensorInfo, span: tuple[float, float]
     ) -> None:
-        self._suite, self._assembler, self._sheet, self._span = suite, Assembler(), sheet, span
+        self._sheet, self._span = sheet, span
         delays = ("gyro_delay", "accel_delay", "mag_delay")  # declared, so compensated as they are
         info = dataclasses.replace(sheet, **{name: getattr(suite.info, name) for name in delays})
-        self._estimator = create_estimator(component, site, info)
+        self._chain = Chain(suite, {component.name: create_estimator(component, place, info)})
         self._evaluator = Evaluator(self._sum)
         self.squares = _Squares(np.zeros(2), np.zeros(2), (math.inf, -math.inf))
 
     def fly(self, truth: Truth) -> None:
         """Measure a block of the flight, estimate, and add the errors up."""
         self._evaluator.add_reference(truth.t, truth.q_nb)
-        samples: Samples = self._assembler.process(self._suite.process(truth))
+        samples = self._chain.assemble(self._chain.sense(truth))
         if not len(samples):
             return
         sigma = np.where(np.isfinite(samples.heading_sigma), self._sheet.heading, np.nan)
-        estimates = self._estimator.process(dataclasses.replace(samples, heading_sigma=sigma))
-        self._evaluator.add("", estimates)
+        for name, estimates in self._chain.estimate(dataclasses.replace(samples, heading_sigma=sigma)):
+            self._evaluator.add(name, estimates)
 
     def _sum(self, _: str, pair: Comparison) -> None:
         t = pair.estimates.t
@@ -294,13 +294,13 @@ def _of_seed(
 ) -> dict[tuple[str, str], _Squares]:
     """Fly once, measure in all ways: squared errors by (`ALL` or `NONE`, the error that is added or missing)."""
     flight = open_flight(scenario)
-    site = site_of(scenario, flight)
+    place = site(flight.start_lla, scenario.epoch)
     (component,), (carried,) = scenario.estimators, scenario.suites
 
     def fit(off: list[str]) -> Suite:
         return make_suite(
             _switched_off(carried, off, grade), seed=scenario.seed, dt=flight.dt, epoch=scenario.epoch,
-            start_lla=np.array(site.lla), faults=scenario.faults,
+            start_lla=np.array(place.lla), faults=scenario.faults,
         )  # fmt: skip
 
     grade: Any = None
@@ -308,14 +308,14 @@ def _of_seed(
     grade, sheet = whole.grade, whole.info
     names = [name for name in TERMS if _stated(carried, whole, name)]
     variants = {
-        (ALL, ""): _Variant(whole, component, site, sheet, span),
-        (NONE, ""): _Variant(fit(names), component, site, sheet, span),
+        (ALL, ""): _Variant(whole, component, place, sheet, span),
+        (NONE, ""): _Variant(fit(names), component, place, sheet, span),
     }
     for name in names:
-        variants[NONE, name] = _Variant(fit([n for n in names if n != name]), component, site, sheet, span)
-        variants[ALL, name] = _Variant(fit([name]), component, site, sheet, span)
+        variants[NONE, name] = _Variant(fit([n for n in names if n != name]), component, place, sheet, span)
+        variants[ALL, name] = _Variant(fit([name]), component, place, sheet, span)
     rows = max(1, round(BLOCK_S * scenario.rate))
-    while len(truth := flight.process(rows)):
+    while len(truth := flight.fly(rows)):
         for variant in variants.values():
             variant.fly(truth)
         progress(float(truth.t[-1]), scenario.duration or flight.expected_duration)

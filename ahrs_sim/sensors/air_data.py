@@ -106,20 +106,20 @@ class AirData:
             "air_data.day_pressure": self.day_pressure,
         }
 
-    def process(self, truth: Truth) -> dict[str, Record]:
+    def sense(self, truth: Truth) -> dict[str, Record]:
         """Records that arrive within the block."""
         n = len(truth)
         rows = self._clock.rows(n)
         t = truth.t[rows]
         m = len(t)
         pressures, air = np.empty((m, 2)), np.empty((m, 4))
-        noise = self._white.process(m)
+        noise = self._white.draw(m)
         limit = np.empty((m, 2))
         limit[:] = self._limit
         for k in (0, 1):
             if self._channels[k].shaping:
                 self._channels[k].shape(t, noise[:, k : k + 1], limit[:, k : k + 1])
-        noise += self._wander.process(m)
+        noise += self._wander.draw(m)
         _sense(truth.pressure, truth.temperature, truth.airspeed, rows.start, self._clock.every, self._lag,
                self.day_pressure, self.position_error, self.diff_scale, self.diff_bias, self.static_bias, noise, limit,
                *self._quanta, self._pipes, pressures)  # fmt: skip
@@ -142,12 +142,12 @@ class AirData:
         m = len(t)
         if not self.figures.vanes:
             return np.full((m, 2), np.nan)
-        noise = self._vane_white.process(m)
+        noise = self._vane_white.draw(m)
         channel = self._channels[2]
         if channel.shaping:
             channel.shape(t, noise, np.full((m, 2), np.inf))
         angles = zip(self._vane_lags, (truth.alpha, truth.beta), strict=True)
-        values = np.column_stack([lag.process(angle)[rows] for lag, angle in angles]) + self.vane_bias + noise
+        values = np.column_stack([lag.apply(angle)[rows] for lag, angle in angles]) + self.vane_bias + noise
         # Not "airspeed < ..." alone: an airspeed lost to a fault says nothing about the vane.
         values[airspeed < VANE_SPEED] = np.nan
         channel.send(t, values)

@@ -39,11 +39,11 @@ class Assembler:
         self._latches = {name: _Latch(cls) for name, cls in _TYPES.items()}
         self._imu: Any = ImuRecord(**blank(ImuRecord, 0))
 
-    def process(self, block: SuiteBlock) -> Samples:
+    def assemble(self, block: SuiteBlock) -> Samples:
         """Samples of the IMU messages in `block`; other messages wait for the next of them."""
         imu: Any = block.get("imu", self._imu)
         arrival = imu.arrival_ns
-        seen = {name: latch.process(block.get(name), arrival) for name, latch in self._latches.items()}
+        seen = {name: latch.update(block.get(name), arrival) for name, latch in self._latches.items()}
         mag, mag_new = seen["mag"]
         heading, heading_new = seen["heading"]
         air, air_new = seen["air"]
@@ -96,7 +96,7 @@ class _Latch:
         self._held: Any = cls(**columns)  # the latched record, then those that have not arrived yet
         self._count = 1
 
-    def process(self, records: Any, arrival: np.ndarray) -> tuple[Any, np.ndarray]:
+    def update(self, records: Any, arrival: np.ndarray) -> tuple[Any, np.ndarray]:
         """The latched record at each of the IMU's `arrival` (n,) ns, as one block (n rows), and the `new` mask (n,)."""
         fresh = len(records.stamp_ns) if records is not None else 0
         if fresh:

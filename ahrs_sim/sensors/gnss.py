@@ -74,7 +74,7 @@ class Lock:
         self._wait = round(wait / period)
         self._left = 0  # samples still to wait
 
-    def process(self, count: np.ndarray) -> np.ndarray:
+    def update(self, count: np.ndarray) -> np.ndarray:
         """Mask (m,) of samples with a solution, from the number of satellites."""
         good = np.empty(len(count), bool)
         for i, n in enumerate(count.tolist()):
@@ -125,7 +125,7 @@ class Gnss:
         """The truth of what was drawn: nothing."""
         return {}
 
-    def process(self, truth: Truth) -> dict[str, Record]:
+    def sense(self, truth: Truth) -> dict[str, Record]:
         """Records that arrive within the block."""
         n = len(truth)
         now = truth.t[-1] if n else 0.0
@@ -138,15 +138,15 @@ class Gnss:
         count = self._sky.count(t, lla, q_nb)
         errors = []
         for (white, wander), channel in zip(self._noise, (self._position, self._velocity), strict=True):
-            noise = white.process(m)
+            noise = white.draw(m)
             if channel.shaping:
                 channel.shape(t, noise, np.full((m, 3), np.inf))
-            errors.append(noise + wander.process(m))
+            errors.append(noise + wander.draw(m))
         antenna = self._imu.position + self.figures.antenna - truth.cg_b[rows]
         lla_deg, vel_n = np.empty((m, 3)), np.empty((m, 3))
         vel, rate = pick(truth.vel_n, rows), pick(truth.rate_ib_b, rows)
         _antenna(lla, vel, q_nb, rate, antenna, *errors, lla_deg, vel_n)
-        lost = ~self._lock.process(count)
+        lost = ~self._lock.update(count)
         lla_deg[lost] = vel_n[lost] = np.nan
         sigma = np.where(lost[:, None], np.nan, self.sigma)
         fix = np.where(lost, -1, int(self.figures.fix_type)).astype(np.int8)

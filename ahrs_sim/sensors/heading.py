@@ -79,7 +79,7 @@ class DualAntenna:
         """The truth of what was drawn, SI."""
         return {"heading.misalignment": self.misalignment}
 
-    def process(self, truth: Truth) -> dict[str, Record]:
+    def sense(self, truth: Truth) -> dict[str, Record]:
         """Records that arrive within the block."""
         n = len(truth)
         now = truth.t[-1] if n else 0.0
@@ -91,14 +91,14 @@ class DualAntenna:
         f = self.figures
         q_nb = pick(truth.q_nb, rows)
         count = self._sky.count(t, pick(truth.lla, rows), q_nb)
-        noise = self._white.process(m)
+        noise = self._white.draw(m)
         if self._channel.shaping:
             self._channel.shape(t, noise, np.full((m, 1), np.inf))
-        noise += self._wander.process(m)
+        noise += self._wander.draw(m)
         heading = np.empty((m, 1))
         _azimuth(q_nb, self._direction, f.baseline_yaw, noise, self._wrong.random((m, 2)), f.wrong_fixes * self.period,
                  f.wrong_fix_time / self.period, self._wrong_offset, self._wrong_state, heading)  # fmt: skip
-        lost = ~self._lock.process(count)
+        lost = ~self._lock.update(count)
         heading[lost] = np.nan
         self._channel.send(t, heading)
         ns = nanoseconds(t)

@@ -77,7 +77,7 @@ class Imu:
         """The truth of what was drawn, SI."""
         return self.gyro.drawn() | self.accel.drawn()
 
-    def process(self, truth: Truth) -> dict[str, Record]:
+    def sense(self, truth: Truth) -> dict[str, Record]:
         """Records that arrive within the block."""
         n = len(truth)
         if self.position is None and n:
@@ -95,11 +95,11 @@ class Imu:
         if n:
             _force_at(truth.accel_b, truth.rate_ib_b, truth.rate_dot_b, truth.cg_b, self.position, force_b)
         temperature, warmth = self._temperature(truth.temperature[rows])
-        shake, rms2 = self._vibration.process(truth.rpm, rows, m)
-        accel, clipped, accel_bias, force = self.accel.process(
+        shake, rms2 = self._vibration.shake(truth.rpm, rows, m)
+        accel, clipped, accel_bias, force = self.accel.measure(
             force_b, rows, slot, extra, shake[:, 3:], None, rms2, warmth
         )
-        gyro, over, gyro_bias, _ = self.gyro.process(
+        gyro, over, gyro_bias, _ = self.gyro.measure(
             truth.rate_ib_b, rows, slot, extra, shake[:, :3], force, rms2, warmth
         )
         now = truth.t[-1] if n else 0.0
@@ -112,8 +112,8 @@ class Imu:
         """Temperature (m,), K, of the chip, and above that at switch-on, when it was as cold as the air."""
         if self._cold is None and len(air):
             self._cold = float(air[0])
-            self._heat.process(air[:1])
-        warm = self._heat.process(air + self.figures.warm_up)
+            self._heat.apply(air[:1])
+        warm = self._heat.apply(air + self.figures.warm_up)
         return warm, warm - (self._cold or 0.0)
 
 

@@ -71,7 +71,7 @@ class Interferometer:
         """The truth of what was drawn: nothing."""
         return {}
 
-    def process(self, truth: Truth) -> dict[str, Record]:
+    def sense(self, truth: Truth) -> dict[str, Record]:
         """Records that arrive within the block."""
         n = len(truth)
         now = truth.t[-1] if n else 0.0
@@ -80,7 +80,7 @@ class Interferometer:
         m = len(t)
         if not m:
             return {"interferometer": self._outbox.wait(now)}
-        noise = self._white.process(m)
+        noise = self._white.draw(m)
         if self._channel.shaping:
             self._channel.shape(t, noise[:, :1], np.full((m, 1), np.inf))
         out = np.empty((m, 3))

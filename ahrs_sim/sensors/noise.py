@@ -45,7 +45,7 @@ class White:
         self.sigma = np.atleast_1d(np.asarray(sigma, float))
         self._rng = rng
 
-    def process(self, n: int) -> np.ndarray:
+    def draw(self, n: int) -> np.ndarray:
         """The next `n` rows (n, axes)."""
         return self._rng.standard_normal((n, len(self.sigma))) * self.sigma  # type: ignore[no-any-return]
 
@@ -76,7 +76,7 @@ class Correlated:
         self._state[:terms] = rng.standard_normal((terms, axes)) * sigma[used]
         self._shape = (terms + self._walks, axes)
 
-    def process(self, n: int) -> np.ndarray:
+    def draw(self, n: int) -> np.ndarray:
         """The next `n` rows (n, axes)."""
         terms, axes = self._shape
         out = np.zeros((n, axes))

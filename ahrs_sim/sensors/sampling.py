@@ -68,7 +68,7 @@ class BandLimit:
         self._past = np.zeros((int(self._lag + longest / dt) + 3, 3))
         self._count = np.zeros(1, np.int64)
 
-    def process(self, x: np.ndarray, rows: slice, extra: np.ndarray) -> np.ndarray:
+    def apply(self, x: np.ndarray, rows: slice, extra: np.ndarray) -> np.ndarray:
         """Filtered, delayed samples (m, 3) of `x` (n, 3) at `rows`; `extra` (m,) s: more delay of each sample."""
         if self._state is None:  # as if the first value had always been there: no transient
             if not len(x):
@@ -137,7 +137,7 @@ class Lag:
         self._share = -math.expm1(-dt / time) if time > 0.0 else 1.0
         self._state = np.full(1, np.nan)
 
-    def process(self, x: np.ndarray) -> np.ndarray:
+    def apply(self, x: np.ndarray) -> np.ndarray:
         """Lagged values (n,) of `x` (n,)."""
         out = np.empty(len(x))
         if len(x):

@@ -62,7 +62,7 @@ class Instrument(Protocol):
         """Names of the records it sends."""
         ...
 
-    def process(self, truth: Truth) -> dict[str, Record]:
+    def sense(self, truth: Truth) -> dict[str, Record]:
         """Records that arrive within the block, by name."""
         ...
 
@@ -100,12 +100,12 @@ class Suite:
         """Names of the records that come, in the order of a block."""
         return tuple(name for i in self._instruments for name in i.records)
 
-    def process(self, truth: Truth) -> SuiteBlock:
+    def sense(self, truth: Truth) -> SuiteBlock:
         """What arrives from every instrument while `truth` happens; blocks of any length give the same records."""
         self._faults.watch(truth.t)
         block: SuiteBlock = {}
         for instrument in self._instruments:
-            block.update(instrument.process(truth))
+            block.update(instrument.sense(truth))
         return block
 
     def take_events(self) -> list[Event]:

@@ -104,7 +104,7 @@ class Triad:
         """The truth of what was drawn, SI, in the sensor's axes."""
         return {f"{self.name}.turn_on_bias": self.turn_on, f"{self.name}.matrix": self.matrix}
 
-    def process(
+    def measure(
         self, u_b: np.ndarray, rows: slice, t: np.ndarray, extra: np.ndarray, added: np.ndarray | None = None,
         force_b: np.ndarray | None = None, rms2: np.ndarray | None = None, warmth: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
@@ -125,15 +125,15 @@ class Triad:
             (m, 3), all in body axes.
         """
         m = len(t)
-        u = self.band.process(u_b, rows, extra)
-        noise = self._white.process(m)
+        u = self.band.apply(u_b, rows, extra)
+        noise = self._white.draw(m)
         limit = np.empty((m, 3))
         limit[:] = self._limit
         if self.channel.shaping:
             self.channel.shape(t, noise, limit)
         if added is not None:
             noise += added
-        bias = self._in_run.process(m)
+        bias = self._in_run.draw(m)
         out, saturated = np.empty((m, 3)), np.zeros(m, bool)
         none = np.zeros(m)
         _triad(u, u if force_b is None else force_b, none if rms2 is None else rms2, none if warmth is None else warmth,

@@ -57,7 +57,7 @@ class Vibration:
         self._rng = rng
         self._silent = not (lines.any() or self._band.any())
 
-    def process(self, rpm: np.ndarray, rows: slice, m: int) -> tuple[np.ndarray, np.ndarray]:
+    def shake(self, rpm: np.ndarray, rows: slice, m: int) -> tuple[np.ndarray, np.ndarray]:
         """Vibration (m, 6) at the sampled `rows` of `rpm` (n,), and the mean square acceleration (m,), (m/s2)^2."""
         out, square = np.zeros((m, 6)), np.zeros(m)
         if not self._silent:

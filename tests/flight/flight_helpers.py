@@ -26,7 +26,7 @@ class Flown:
         self.flight = open_flight(what)
         blocks, setpoints, self.events = [], [], list[Event]()
         while True:
-            rows = self.flight.process(block)
+            rows = self.flight.fly(block)
             setpoints.append(self.flight.take_setpoints())
             self.events += self.flight.take_events()
             if len(rows) == 0:

@@ -221,7 +221,7 @@ def test_the_aircraft_flies_on_an_estimate(error_deg):
     half = np.radians(error_deg) / 2.0
     tilt = np.array([[np.cos(half), np.sin(half), 0.0, 0.0]])
     roll = 0.0
-    while len(rows := flight.process(4)):
+    while len(rows := flight.fly(4)):
         flight.feedback(product(rows.q_nb[-1:], tilt)[0], rows.rate_ib_b[-1])
         roll = euler_deg(rows.q_nb)[0][-1]
     flight.feedback(np.full(4, np.nan), np.zeros(3))  # no estimate: ignored
@@ -234,7 +234,7 @@ def test_before_the_hand_over_it_flies_on_the_truth():
     flight = open_flight(airborne(turn, {"do": "hand_over"}, turn))
     tilt = np.array([[np.cos(np.radians(2.5)), np.sin(np.radians(2.5)), 0.0, 0.0]])
     roll = []
-    while len(rows := flight.process(4)):
+    while len(rows := flight.fly(4)):
         flight.feedback(product(rows.q_nb[-1:], tilt)[0], rows.rate_ib_b[-1])
         roll.append((rows.t[-1], euler_deg(rows.q_nb)[0][-1]))
     t, roll = np.array(roll).T

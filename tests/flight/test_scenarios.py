@@ -15,7 +15,7 @@ NAMES = sorted(path.stem for path in scenario_dir().glob("*.toml"))
 def test_every_scenario_opens_and_begins(name):
     flight = open_flight(scenario.load(name))
     assert flight.expected_duration is not None
-    assert len(flight.process(100)) == 100
+    assert len(flight.fly(100)) == 100
     assert flight.error is None
 
 

@@ -45,7 +45,7 @@ def opened(path: Path, text: str | None = "", **options: Any) -> Bag:
 
 def samples_of(bag: Bag) -> Samples:
     assembler = Assembler()
-    return Samples.concatenate([assembler.process(block["bag"]) for block in bag.blocks()])
+    return Samples.concatenate([assembler.assemble(block["bag"]) for block in bag.blocks()])
 
 
 def check_samples(s: Samples, m: Motion, atol: float = 1e-12) -> None:

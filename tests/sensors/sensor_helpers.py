@@ -74,7 +74,7 @@ def suite(grade: str, name: str = "chr", *, seed: int = 1, dt: float = DT, fault
 def run(s: Suite, flight: Truth, block: int = 0) -> SuiteBlock:
     """All records of a flight, processed in blocks of `block` rows (0: at once)."""
     size = block or len(flight)
-    blocks = [s.process(flight[i : i + size]) for i in range(0, len(flight), size)]
+    blocks = [s.sense(flight[i : i + size]) for i in range(0, len(flight), size)]
     return {k: type(v).concatenate([b[k] for b in blocks]) for k, v in blocks[0].items()}
 
 

@@ -40,7 +40,7 @@ def fixes(
 def test_latched_by_arrival() -> None:
     fix, velocity = fixes([0.0, 0.2, 0.4], [0.1, 0.305, 9.0])
     t = np.arange(0.0, 0.6, 0.1)
-    s = Assembler().process({"imu": imu(t), "fix": fix, "velocity": velocity})
+    s = Assembler().assemble({"imu": imu(t), "fix": fix, "velocity": velocity})
     np.testing.assert_array_equal(s.t, np.round(t * NS).astype(np.int64) * 1e-9)
     assert s.gnss_new.tolist() == [False, True, False, False, True, False]
     np.testing.assert_allclose(s.gnss_t, [np.nan, 0, 0, 0, 0.2, 0.2])
@@ -55,7 +55,7 @@ def test_latched_by_arrival() -> None:
 
 def test_no_fix_is_missing_not_old() -> None:
     fix, velocity = fixes([0.0, 0.2], [0.0, 0.2], [True, False])
-    s = Assembler().process({"imu": imu(np.arange(0, 0.4, 0.1)), "fix": fix, "velocity": velocity})
+    s = Assembler().assemble({"imu": imu(np.arange(0, 0.4, 0.1)), "fix": fix, "velocity": velocity})
     assert s.gnss_new.tolist() == [True, False, False, False]
     assert np.isnan(s.lla[2:]).all()
     assert np.isnan(s.vel_n[2:]).all()
@@ -64,7 +64,7 @@ def test_no_fix_is_missing_not_old() -> None:
 
 def test_half_a_solution() -> None:
     fix, velocity = fixes([0.0, 0.2], [0.0, 0.2])
-    s = Assembler().process({"imu": imu(np.arange(0, 0.4, 0.1)), "fix": fix[:1], "velocity": velocity})
+    s = Assembler().assemble({"imu": imu(np.arange(0, 0.4, 0.1)), "fix": fix[:1], "velocity": velocity})
     assert s.gnss_new.tolist() == [True, False, True, False]
     assert np.isnan(s.lla[2:]).all()
     np.testing.assert_allclose(s.vel_n[2:], 0.2)
@@ -75,7 +75,7 @@ def test_heading_without_solution_is_not_new() -> None:
     made = blank(HeadingRecord, 2)
     made["stamp_ns"][:] = made["arrival_ns"][:] = [0, NS // 10]
     made["heading"][:] = [1.0, np.nan]
-    s = Assembler().process({"imu": imu(np.arange(0, 0.3, 0.1)), "heading": HeadingRecord(**made)})
+    s = Assembler().assemble({"imu": imu(np.arange(0, 0.3, 0.1)), "heading": HeadingRecord(**made)})
     assert s.heading_new.tolist() == [True, False, False]
     np.testing.assert_allclose(s.heading, [1.0, np.nan, np.nan])
 
@@ -91,7 +91,7 @@ def test_blocks_of_any_length_give_the_same_samples(block: int) -> None:
 
     def samples(size: int) -> Samples:
         s, a = suite("chr_6dm", faults=faults), Assembler()
-        return Samples.concatenate([a.process(s.process(flight[i : i + size])) for i in range(0, 1600, size)])
+        return Samples.concatenate([a.assemble(s.sense(flight[i : i + size])) for i in range(0, 1600, size)])
 
     whole, pieces = samples(1600), samples(block)
     for f in dataclasses.fields(Samples):
@@ -101,12 +101,12 @@ def test_blocks_of_any_length_give_the_same_samples(block: int) -> None:
 def test_samples_of_a_flight() -> None:
     flight = wild(4000)
     out = run(suite("ideal"), flight)
-    s = Assembler().process(out)
+    s = Assembler().assemble(out)
     assert len(s) == len(out["imu"])
     assert np.array_equal(s.gyro_b, out["imu"].gyro_b)
     assert s.mag_new.all()
     assert np.array_equal(np.flatnonzero(s.air_new), np.arange(0, 1000, 2))
     np.testing.assert_allclose(s.airspeed[s.air_new], flight.airspeed[::8], rtol=1e-9)
     np.testing.assert_allclose(s.lla[s.gnss_new], flight.lla[::80], rtol=1e-6)
-    replayed = Assembler().process({name: records for name, records in out.items() if name != "imu_errors"})
+    replayed = Assembler().assemble({name: records for name, records in out.items() if name != "imu_errors"})
     assert np.array_equal(replayed.lla, s.lla)

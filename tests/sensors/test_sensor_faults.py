@@ -216,7 +216,7 @@ def test_several_at_once_and_events() -> None:
         s = suite("chr_6dm", faults=[fault(**f) for f in faults])
         events = []
         for i in range(0, 4000, block):
-            s.process(FLIGHT[i : i + block])
+            s.sense(FLIGHT[i : i + block])
             events += s.take_events()
         assert [(e.t, e.level, e.name) for e in events] == [
             (2.0, "warning", "fault"), (3.0, "warning", "fault"), (4.0, "info", "fault"), (4.0, "warning", "fault"),

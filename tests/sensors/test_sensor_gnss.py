@@ -82,7 +82,7 @@ def test_messages_come_late_and_in_order() -> None:
     flight = truth(800)
     got = []
     for i in range(0, 800, 4):
-        block = s.process(flight[i : i + 4])
+        block = s.sense(flight[i : i + 4])
         got += [(flight.t[i + 3], x) for x in block["fix"].arrival_ns.tolist()]
         assert same(block["fix"][:0], block["fix"][:0])
     assert len(got) == 19  # 2 s at 10 Hz, the last still on its way

@@ -134,7 +134,7 @@ def test_turn_on_biases_of_200_flights_have_the_specified_spread() -> None:
         assert np.abs(np.corrcoef(x.T) - np.eye(3)).max() < 0.25
     # The first sample really carries it.
     s = suite("ideal", gyro={"turn_on_bias_dps": 0.3}, **IMU)
-    block = s.process(flight)
+    block = s.sense(flight)
     np.testing.assert_allclose(block["imu"].gyro_b[0], s.drawn()["gyro.turn_on_bias"])
     assert np.array_equal(block["imu_errors"].gyro_bias[0], s.drawn()["gyro.turn_on_bias"])
 

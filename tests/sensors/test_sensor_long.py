@@ -41,7 +41,7 @@ def standing(grade: str, sensor: str, rate: float) -> tuple[TriadFigures, np.nda
     truth = {"gyro": [0.0, 0.0, 0.0], "accelerometer": [0.0, 0.0, -9.81], "magnetometer": [2.2e-5, 0.0, 4.2e-5]}
     size = int(10 * rate)
     u, t, extra = np.tile(truth[sensor], (size, 1)), np.arange(size) / rate, np.zeros(size)
-    blocks = [triad.process(u, slice(0, size, 1), t, extra)[0] for _ in range(int(HOURS * 360))]
+    blocks = [triad.measure(u, slice(0, size, 1), t, extra)[0] for _ in range(int(HOURS * 360))]
     return figures, np.vstack(blocks)
 
 

@@ -17,7 +17,7 @@ def response(band: BandLimit, frequency: float, every: int) -> complex:
     t = np.arange(n) * DT
     x = np.tile(np.sin(2 * np.pi * frequency * t)[:, None], 3)
     rows = slice(0, n, every)
-    y = band.process(x, rows, np.zeros(len(t[rows])))[:, 0]
+    y = band.apply(x, rows, np.zeros(len(t[rows])))[:, 0]
     basis = np.column_stack([np.sin(2 * np.pi * frequency * t[rows]), np.cos(2 * np.pi * frequency * t[rows])])
     a, b = np.linalg.lstsq(basis[len(y) // 2 :], y[len(y) // 2 :], rcond=None)[0]
     return complex(a, b)
@@ -44,12 +44,12 @@ def test_total_delay_at_low_frequency(cutoff: float, delay: float) -> None:
 
 def test_settled_on_the_first_value_and_exact_without_filter() -> None:
     x = np.full((40, 3), 3.7)
-    np.testing.assert_allclose(BandLimit(30.0, 0.02, DT, 4).process(x, slice(0, 40, 4), np.zeros(10)), 3.7, rtol=1e-13)
+    np.testing.assert_allclose(BandLimit(30.0, 0.02, DT, 4).apply(x, slice(0, 40, 4), np.zeros(10)), 3.7, rtol=1e-13)
     ramp = np.arange(120.0).reshape(40, 3)
-    assert np.array_equal(BandLimit(0.0, 0.0, DT, 4).process(ramp, slice(0, 40, 4), np.zeros(10)), ramp[::4])
-    late = BandLimit(0.0, 2.5 * DT, DT, 4).process(ramp, slice(0, 40, 4), np.zeros(10))
+    assert np.array_equal(BandLimit(0.0, 0.0, DT, 4).apply(ramp, slice(0, 40, 4), np.zeros(10)), ramp[::4])
+    late = BandLimit(0.0, 2.5 * DT, DT, 4).apply(ramp, slice(0, 40, 4), np.zeros(10))
     np.testing.assert_allclose(late[1:], ramp[4::4] - 7.5)
-    early = BandLimit(0.0, 0.0, DT, 4, longest=DT).process(ramp, slice(0, 40, 4), np.full(10, 0.5 * DT))
+    early = BandLimit(0.0, 0.0, DT, 4, longest=DT).apply(ramp, slice(0, 40, 4), np.full(10, 0.5 * DT))
     np.testing.assert_allclose(early[1:], ramp[4::4] - 1.5)
 
 
@@ -64,8 +64,8 @@ def test_clock_ticks_every_nth_row_whatever_the_blocks(every: int, lengths: list
 
 def test_lag_is_first_order() -> None:
     lag = Lag(0.2, DT)
-    assert lag.process(np.array([1.0]))[0] == 1.0
-    y = lag.process(np.full(400, 3.0))
+    assert lag.apply(np.array([1.0]))[0] == 1.0
+    y = lag.apply(np.full(400, 3.0))
     t = np.arange(1, 401) * DT
     np.testing.assert_allclose(y, 3.0 - 2.0 * np.exp(-t / 0.2), rtol=1e-12)
 
