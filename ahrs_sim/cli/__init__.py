@@ -19,12 +19,13 @@ from ahrs_sim.cli import (
     papers,
     recover,
     replay,
+    schema,
 )
 from ahrs_sim.errors import AhrsSimError
 from estimators.errors import EstimationError
 
 # in the order of `ahrs-sim --help`
-_COMMANDS = (fly, replay, compare, info, export, recover, allan, check, campaign, budget, papers, new, listing)
+_COMMANDS = (fly, replay, compare, info, export, recover, allan, check, campaign, budget, papers, new, listing, schema)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

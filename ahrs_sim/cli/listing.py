@@ -68,6 +68,25 @@ def _estimators() -> list[dict[str, Any]]:
     ]
 
 
+def _manoeuvres() -> list[dict[str, Any]]:
+    from ahrs_sim import reference
+
+    return [
+        {
+            "name": name,
+            "text": " ".join(text.partition("\n\n")[0].split()),
+            "keys": {k: {"value": reference.limits(v), "default": reference.default(v)} for k, v in keys.items()},
+        }
+        for name, (text, keys) in reference.manoeuvres().items()
+    ]
+
+
+def _faults() -> list[dict[str, Any]]:
+    from ahrs_sim import reference
+
+    return [{"name": kind, "keys": ", ".join(keys)} for kind, keys in reference.faults().items()]
+
+
 def _layouts() -> list[dict[str, Any]]:
     from ahrs_sim.log import layouts
 
@@ -80,4 +99,6 @@ _LISTS = {
     "grades": _grades,
     "estimators": _estimators,
     "layouts": _layouts,
+    "manoeuvres": _manoeuvres,
+    "faults": _faults,
 }

@@ -7,10 +7,13 @@ needed = table.text("aircraft")                 # no default: missing is an erro
 table.close()                                   # keys nobody asked for are errors, with the nearest spelling
 """
 
+import contextlib
 import datetime
 import math
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextvars import ContextVar
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +22,61 @@ import numpy as np
 from ahrs_sim.errors import InputError, nearest
 
 _REQUIRED: Any = object()
+
+
+@dataclass(frozen=True)
+class Key:
+    """What a reader asks of one key of a table: the form of its value, and the value without it."""
+
+    form: str  # number, integer, flag, text, choice, vector, date, table, named tables, list of tables, any
+    required: bool
+    default: Any = None
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    above: float = -math.inf
+    choices: tuple[str, ...] = ()
+    size: int = 0
+
+
+class Declarations:
+    """The keys that readers ask for while `declaring`, by the place of their table."""
+
+    def __init__(self, present: bool) -> None:
+        self.tables: dict[str, dict[str, Key]] = {}
+        self.present = present  # what `has` answers of a key that is not there
+        self._optional: set[tuple[str, str]] = set()
+
+    def asked(self, where: str, key: str) -> bool:
+        """Note that a reader asks whether a key is there: it may be left out."""
+        self._optional.add((where, key))
+        self.tables.setdefault(where, {}).setdefault(key, Key("any", False))
+        return self.present
+
+    def add(self, where: str, key: str, found: Key) -> None:
+        """Note a key; one that is required in one case and not in another is optional."""
+        keys = self.tables.setdefault(where, {})
+        known = keys.get(key, found)
+        optional = (where, key) in self._optional or not (known.required and found.required)
+        best = found if known.form == "any" else known
+        keys[key] = replace(best, required=best.required and not optional)
+
+
+_declarations: ContextVar[Declarations | None] = ContextVar("declarations", default=None)
+
+
+@contextlib.contextmanager
+def declaring(present: bool = True) -> Iterator[Declarations]:
+    """Collect what is asked of tables: in this context a missing key is no error, a fitting value stands for it.
+
+    Args:
+        present: what `Table.has` answers of a missing key: both branches of a reader take two passes.
+    """
+    made = Declarations(present)
+    token = _declarations.set(made)
+    try:
+        yield made
+    finally:
+        _declarations.reset(token)
 
 
 class Table:
@@ -39,13 +97,21 @@ class Table:
     def has(self, key: str) -> bool:
         """Is the key there? Asking makes it known."""
         self._asked.add(key)
-        return key in self.data
+        made = _declarations.get()
+        return key in self.data or (made is not None and made.asked(self.where, key))
 
     def value(self, key: str, default: Any = _REQUIRED) -> Any:
         """The raw value."""
+        return self._value(key, default, Key("any", default is _REQUIRED, default))
+
+    def _value(self, key: str, default: Any, asked: Key) -> Any:
         self._asked.add(key)
+        if (made := _declarations.get()) is not None:
+            made.add(self.where, key, asked)
         if key in self.data:
             return self.data[key]
+        if made is not None and (default is _REQUIRED or default == math.inf):
+            return _fitting(asked)
         if default is _REQUIRED:
             unknown = [k for k in self.data if k not in self._asked]
             hint = f" (found '{k}')" if (k := _closest(key, unknown)) else ""
@@ -62,7 +128,7 @@ class Table:
         above: float = -math.inf,
     ) -> float:
         """A finite float with `minimum <= value <= maximum` and `value > above`."""
-        value = self.value(key, default)
+        value = self._value(key, default, _key("number", default, minimum=minimum, maximum=maximum, above=above))
         if value is default and not isinstance(value, (int, float)):
             return value  # type: ignore[no-any-return]  # a default of None passes through
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
@@ -75,7 +141,7 @@ class Table:
 
     def integer(self, key: str, default: Any = _REQUIRED, *, minimum: int = -(2**62), maximum: int = 2**62) -> int:
         """An int with `minimum <= value <= maximum`."""
-        value = self.value(key, default)
+        value = self._value(key, default, _key("integer", default, minimum=minimum, maximum=maximum))
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.error(key, f"{value!r} is not a whole number")
         if not minimum <= value <= maximum:
@@ -84,14 +150,17 @@ class Table:
 
     def flag(self, key: str, default: Any = _REQUIRED) -> bool:
         """`true` or `false`."""
-        value = self.value(key, default)
+        value = self._value(key, default, _key("flag", default))
         if not isinstance(value, bool):
             raise self.error(key, f"{value!r} is not true or false")
         return value
 
     def text(self, key: str, default: Any = _REQUIRED) -> str:
         """A string."""
-        value = self.value(key, default)
+        return self._text(key, default, _key("text", default))
+
+    def _text(self, key: str, default: Any, asked: Key) -> str:
+        value = self._value(key, default, asked)
         if value is default:
             return value  # type: ignore[no-any-return]
         if not isinstance(value, str):
@@ -100,14 +169,14 @@ class Table:
 
     def choice(self, key: str, choices: Sequence[str], default: Any = _REQUIRED) -> str:
         """One of `choices`."""
-        value = self.text(key, default)
+        value = self._text(key, default, _key("choice", default, choices=tuple(choices)))
         if value is not default and value not in choices:
             raise self.error(key, f"'{value}' is unknown{nearest(value, choices)}")
         return value
 
     def vector(self, key: str, default: Any = _REQUIRED, *, size: int = 3) -> np.ndarray:
         """A float array (size,) from a list of finite numbers."""
-        value = self.value(key, default)
+        value = self._value(key, default, _key("vector", default, size=size))
         if value is default and value is None:
             return value  # type: ignore[return-value]
         numbers = isinstance(value, (list, tuple, np.ndarray)) and all(
@@ -119,21 +188,24 @@ class Table:
 
     def date(self, key: str, default: Any = _REQUIRED) -> datetime.datetime:
         """A date with time; without offset it is UTC."""
-        value = self.value(key, default)
+        value = self._value(key, default, _key("date", default))
         if not isinstance(value, datetime.datetime):
             raise self.error(key, f"{value!r} is not a date and time like 2026-06-01T10:00:00Z")
         return value if value.tzinfo else value.replace(tzinfo=datetime.UTC)
 
     def table(self, key: str) -> "Table":
         """A sub-table (empty when absent)."""
-        value = self.value(key, {})
+        return self._table(key, "table")
+
+    def _table(self, key: str, form: str) -> "Table":
+        value = self._value(key, {}, Key(form, False))
         if not isinstance(value, dict):
             raise self.error(key, f"is not a table; write [{key}]")
         return Table(value, f"{self.where}: [{key}]")
 
     def named_tables(self, key: str) -> "dict[str, Table]":
         """`[key.NAME]` tables by name, in the file's order."""
-        tables = self.table(key)
+        tables = self._table(key, "named tables")
         for name, value in tables.data.items():
             if not isinstance(value, dict):
                 raise tables.error(name, f"is not a table; write [{key}.{name}]")
@@ -141,7 +213,7 @@ class Table:
 
     def list_of_tables(self, key: str) -> "list[Table]":
         """`[[key]]` tables, numbered from 1 in messages."""
-        value = self.value(key, [])
+        value = self._value(key, [], Key("list of tables", False))
         if not isinstance(value, list) or not all(isinstance(x, dict) for x in value):
             raise self.error(key, f"is not a list of tables; write [[{key}]]")
         return [Table(x, f"{self.where}: [[{key}]] {i + 1}") for i, x in enumerate(value)]
@@ -157,6 +229,25 @@ class Table:
         for key in self.data:
             if key not in self._asked:
                 raise self.error(key, f"unknown key{nearest(key, self._asked)}")
+
+
+def _key(form: str, default: Any, **bounds: Any) -> Key:
+    required = default is _REQUIRED
+    return Key(form, required, None if required else default, **bounds)
+
+
+def _fitting(asked: Key) -> Any:
+    """A value that a key of this form accepts."""
+    if asked.form in ("number", "integer"):
+        low = max(asked.minimum, asked.above)
+        high = min(asked.maximum, max(low + 2.0, 2.0))
+        middle = 0.5 * (max(low, high - 2.0) + high)
+        return middle if asked.form == "number" else int(middle)
+    if asked.form == "vector":
+        return [1.0] * asked.size
+    return {"flag": True, "text": "x", "date": datetime.datetime(2026, 6, 1, tzinfo=datetime.UTC)}.get(
+        asked.form, asked.choices[0] if asked.choices else "x"
+    )
 
 
 def _closest(word: str, known: Sequence[str]) -> str:

@@ -19,7 +19,7 @@ def output_of(*arguments: str, capsys: pytest.CaptureFixture[str]) -> str:
 
 def test_help_names_every_command_once_and_in_order(capsys: pytest.CaptureFixture[str]) -> None:
     names = re.findall(r"^    (\w+) ", output_of("--help", capsys=capsys), re.M)
-    assert " ".join(names) == "fly replay compare info export recover allan check campaign budget papers list"
+    assert " ".join(names) == "fly replay compare info export recover allan check campaign budget papers new list schema"
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,98 @@
+"""The reference and the schemas follow the readers: every shipped file is valid, and what a reader refuses is not."""
+
+import datetime
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from ahrs_sim import reference, scenario
+from ahrs_sim.errors import InputError
+from ahrs_sim.scenario.shipped import scenario_dir
+
+ROOT = Path(__file__).parents[1]
+GRADES = ROOT / "ahrs_sim" / "sensors" / "grades"
+
+
+def plain(value: Any) -> Any:
+    """TOML data as JSON has them."""
+    if isinstance(value, dict):
+        return {k: plain(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [plain(v) for v in value]
+    return value.isoformat() if isinstance(value, datetime.datetime) else value
+
+
+@pytest.fixture(scope="module")
+def scenarios() -> jsonschema.Draft202012Validator:
+    made = reference.schema("scenario")
+    jsonschema.Draft202012Validator.check_schema(made)
+    return jsonschema.Draft202012Validator(made)
+
+
+@pytest.mark.parametrize("path", sorted(scenario_dir().glob("*.toml")), ids=lambda path: path.stem)
+def test_shipped_scenarios_are_valid(path: Path, scenarios: jsonschema.Draft202012Validator) -> None:
+    scenarios.validate(plain(tomllib.loads(path.read_text())))
+
+
+@pytest.mark.parametrize("path", sorted(GRADES.glob("*.toml")), ids=lambda path: path.stem)
+def test_shipped_grades_are_valid(path: Path) -> None:
+    jsonschema.validate(plain(tomllib.loads(path.read_text())), reference.schema("grade"))
+
+
+def test_the_standard_suite_is_valid() -> None:
+    suite = (ROOT / "tests" / "baselines" / "standard.toml").read_text()
+    jsonschema.validate(plain(tomllib.loads(suite)), reference.schema("suite"))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "seeed = 1",
+        "seed = -1",
+        'seed = "one"',
+        "[start]\nlatitude_deg = 95.0",
+        '[wind]\nturbulence = "wild"',
+        '[[step]]\ndo = "turn"\nbnak_deg = 30.0',
+        '[[step]]\ndo = "wait"',
+        '[[step]]\ndo = "tumble"',
+        '[motion]\nkind = "sway"\nspeed_mps = 3.0',
+        '[suite.chr]\ngrade = "chr_6dm"\n[suite.chr.gyro]\nnoise_density_furlongs = 1.0',
+    ],
+)
+def test_what_a_reader_refuses_the_schema_refuses(
+    text: str, scenarios: jsonschema.Draft202012Validator, tmp_path: Path
+) -> None:
+    assert not scenarios.is_valid(plain(tomllib.loads(text)))
+    file = tmp_path / "wrong.toml"
+    file.write_text('extends = "sway"\n' + text if "motion" in text else 'extends = "takeoff"\n' + text)
+    from ahrs_sim.flight import open_flight
+    from ahrs_sim.sensors import make_suite
+
+    with pytest.raises(InputError):
+        loaded = scenario.load(str(file))
+        for component in loaded.suites:
+            epoch = datetime.datetime(2026, 6, 1, tzinfo=datetime.UTC)
+            make_suite(component, seed=0, dt=0.0025, epoch=epoch, start_lla=[0.7, 0.0, 0.0])  # type: ignore[arg-type]
+        open_flight(loaded)
+
+
+def test_map_and_its_units() -> None:
+    made = reference.schema("map")
+    jsonschema.validate({"imu": {"gyro_unit": "deg/s"}, "frames": {"body": "FLU"}}, made)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({"imu": {"gyro_unit": "deg per s"}}, made)
+
+
+def test_manoeuvres_say_what_they_need() -> None:
+    keys = reference.manoeuvres()["wait"][1]
+    assert keys["for_s"].required and keys["for_s"].above == 0.0
+    turn = reference.manoeuvres()["turn"][1]
+    assert not turn["bank_deg"].required and reference.unit("bank_deg") == "deg"
+
+
+def test_the_page_is_up_to_date() -> None:
+    page = (ROOT / "docs" / "scenario.md").read_text(encoding="utf-8")
+    assert page == reference.markdown(), "run: python -m ahrs_sim.reference"
