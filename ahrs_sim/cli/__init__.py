@@ -53,6 +53,7 @@ def parser() -> argparse.ArgumentParser:
         prog="ahrs-sim",
         description="Fly a model aircraft, measure it with low-cost sensors, estimate its attitude, say who was wrong.",
     )
+    made.add_argument("--completion", action=_Completion, metavar="SHELL", help="print a completion script and exit")
     made.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = made.add_subparsers(metavar="COMMAND", required=True)
     for command in _COMMANDS:
@@ -67,4 +68,16 @@ class _Version(argparse.Action):
         from importlib.metadata import version
 
         print(f"{parser.prog} {version('ahrs-sim')}")
+        parser.exit()
+
+
+class _Completion(argparse.Action):
+    """Print the completion script of a shell: bash, zsh or tcsh."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: object, values: object, *_: Any) -> None:
+        import shtab
+
+        if values not in shtab.SUPPORTED_SHELLS:
+            parser.error(f"--completion: '{values}' is no shell it knows; known: {', '.join(shtab.SUPPORTED_SHELLS)}")
+        print(shtab.complete(parser, shell=str(values)))
         parser.exit()

@@ -1,6 +1,7 @@
 """The command line as a whole; what single commands do is tested with what they use."""
 
 import re
+import shutil
 import subprocess
 import sys
 from importlib.metadata import version
@@ -19,7 +20,8 @@ def output_of(*arguments: str, capsys: pytest.CaptureFixture[str]) -> str:
 
 def test_help_names_every_command_once_and_in_order(capsys: pytest.CaptureFixture[str]) -> None:
     names = re.findall(r"^    (\w+) ", output_of("--help", capsys=capsys), re.M)
-    assert " ".join(names) == "fly replay compare info export recover allan check campaign budget papers new list schema"
+    expected = "fly replay compare info export recover allan check campaign budget papers new list schema"
+    assert " ".join(names) == expected
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
@@ -32,3 +34,17 @@ def test_the_package_runs_as_a_module() -> None:
     wrong = subprocess.run([sys.executable, "-m", "ahrs_sim", "info", "absent.mcap"], capture_output=True, text=True)
     assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1)
     assert wrong.stderr.startswith("ahrs-sim: absent.mcap")
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_completion_names_every_command(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    script = output_of("--completion", shell, capsys=capsys)
+    assert all(command in script for command in ("fly", "replay", "schema", "--duration"))
+    if shutil.which(shell):
+        subprocess.run([shell, "-n"], input=script.encode(), check=True)
+
+
+def test_an_unknown_shell_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["--completion", "dos"])
+    assert "known: bash" in capsys.readouterr().err
