@@ -146,8 +146,10 @@ bool saturated # an axis is at the end of its range
 uint8 satellites # in use; 0 for instruments that need none
 MSG: ahrs_sim_msgs/ImuErrors
 std_msgs/Header header
-geometry_msgs/Vector3 gyro_bias # rad/s, FRD, true bias of the gyro
+geometry_msgs/Vector3 gyro_bias # rad/s, FRD, true bias of the gyro: turn-on, in-run, temperature
 geometry_msgs/Vector3 accel_bias # m/s2, FRD, true bias of the accelerometer
+geometry_msgs/Vector3 gyro_effective_bias # rad/s, FRD, all that it is off but noise: scale and misalignment included
+geometry_msgs/Vector3 accel_effective_bias # m/s2, FRD, the same of the accelerometer
 MSG: ahrs_sim_msgs/EstimatorState
 std_msgs/Header header
 uint8 ALIGNING=0

@@ -196,9 +196,9 @@ INSTRUMENTS: dict[str, tuple[type[Record], Route]] = {
             "/imu/errors",
             "ahrs_sim_msgs/msg/ImuErrors",
             FRD,
-            "The true biases behind every message of the IMU, turn-on and in-run together: for reports, not for "
-            "estimators.",
-            {"gyro_bias": "gyro_bias", "accel_bias": "accel_bias"},
+            "The true biases behind every message of the IMU, alone and with all that acts as one: for reports, not "
+            "for estimators.",
+            {name: name for name in ("gyro_bias", "accel_bias", "gyro_effective_bias", "accel_effective_bias")},
         ),
     ),
     "mag": (

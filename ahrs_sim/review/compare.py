@@ -22,6 +22,8 @@ TRUTH_TOPIC = "/truth/imu"
 STATE_TOPIC = "/truth/state"
 AIR_TOPIC = "/truth/air"
 TRUTH_TOPICS = TRUTH_TOPIC, STATE_TOPIC, AIR_TOPIC
+FULL = 0.995
+"""Share of the time with an estimate from which on the table does not mention it."""
 
 
 def compare(
@@ -221,11 +223,14 @@ def table(result: dict[str, Any]) -> str:
     against = "the truth" if result["reference"] == "truth" else result["reference"]
     print(f"errors against {against}, {result['from_s']:.0f} to {result['to_s']:.0f} s, deg", file=out)
     width = max(12, *(len(n) + 2 for n in result["estimators"]))
+    partial = any(values["availability"] < FULL for values in result["estimators"].values())
     heads = "".join(f"{m:>19s}" for m in metrics.MEASURES)
-    print(f"{'':{width}s}{heads}\n{'':{width}s}{'rmse   p95   max'.rjust(19) * len(metrics.MEASURES)}", file=out)
+    under = "rmse   p95   max".rjust(19) * len(metrics.MEASURES) + "   available" * partial
+    print(f"{'':{width}s}{heads}\n{'':{width}s}{under}", file=out)
     for name, values in result["estimators"].items():
         cells = [[values[f"{m}_{s}_deg"] for s in ("rmse", "p95", "max")] for m in metrics.MEASURES]
-        print(f"{name:{width}s}" + "".join(" " + "".join(_cell(v) for v in c) for c in cells), file=out)
+        share = f"{100.0 * values['availability']:10.1f} %" if partial else ""
+        print(f"{name:{width}s}" + "".join(" " + "".join(_cell(v) for v in c) for c in cells) + share, file=out)
     for name, values in result["estimators"].items():
         if removed := _removed(values):
             print(f"{name:{width}s} {removed}", file=out)

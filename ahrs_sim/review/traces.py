@@ -239,7 +239,7 @@ def _columns(log: FlightReader) -> tuple[dict[str, dict[str, np.ndarray]], dict[
     if heard := log.metadata.get("replay", {}).get("topic fix"):
         fixes[BAG] = heard.split()[0]
     for suite, fix in fixes.items():
-        wanted[f"/{suite}/imu/errors"] = lambda m: {"gyro": vector(m["gyro_bias"]), "accel": vector(m["accel_bias"])}
+        wanted[f"/{suite}/imu/errors"] = _biases
         wanted[f"/{suite}/gps/status"] = lambda m: {"satellites": m["satellites"].astype(float)}
         if fix in log.topics and log.topics[fix].type_name == INSTRUMENTS["fix"][1].type_name:
             wanted[fix] = lambda m: {
@@ -362,6 +362,12 @@ def _estimators(
             evaluator.add(topics[topic], log.estimates_in(messages[within], _READ))
     suite = {name: log.metadata.get(f"estimator {name}", {}).get("suite", "") for name in gathering}
     return {name: g.trace(name, suite[name], against[name][1]) for name, g in gathering.items() if g.columns}
+
+
+def _biases(messages: np.ndarray) -> dict[str, np.ndarray]:
+    """Take the biases that an estimator's mean: the effective ones, where a log has them."""
+    effective = "gyro_effective_bias" in (messages.dtype.names or ())
+    return {s: vector(messages[f"{s}_effective_bias" if effective else f"{s}_bias"]) for s in ("gyro", "accel")}
 
 
 def _suite(

@@ -22,7 +22,7 @@ class Fitting:
     dt: float  # s between rows of the truth
     epoch: datetime.datetime
     start_lla: np.ndarray  # (3,) rad, rad, m
-    position: np.ndarray | None  # m, FRD from the aircraft's reference; None: where the CG is at first
+    position: np.ndarray  # m, FRD from where the centre of gravity is at first
     mount: np.ndarray  # C_sb (3, 3), body to sensor axes, known to the unit
     turned: np.ndarray  # (3, 3) from the axes that it believes in to those that it has
     where: str  # for messages

@@ -41,7 +41,8 @@ class Imu:
         f = self.figures = fitting.figures("imu", ImuFigures)
         every = fitting.every(f.rate, "imu")
         self.period = every * fitting.dt
-        self.position = fitting.position  # m, FRD from the aircraft's reference; None: where the CG is at first
+        self._from_cg = fitting.position  # m, FRD from where the centre of gravity is at first
+        self.position: np.ndarray | None = None  # m, FRD from the aircraft's reference, once the flight has begun
         self._clock = Clock(every)
         # What a sample can be early is bounded so that the delay line is: beyond 5 sigma nothing was lost.
         self._earliest = min(5.0 * f.jitter, 0.9 * self.period)
@@ -81,7 +82,7 @@ class Imu:
         """Records that arrive within the block."""
         n = len(truth)
         if self.position is None and n:
-            self.position = truth.cg_b[0].copy()
+            self.position = truth.cg_b[0] + self._from_cg
         rows = self._clock.rows(n)
         slot = truth.t[rows]
         m = len(slot)
@@ -96,16 +97,16 @@ class Imu:
             _force_at(truth.accel_b, truth.rate_ib_b, truth.rate_dot_b, truth.cg_b, self.position, force_b)
         temperature, warmth = self._temperature(truth.temperature[rows])
         shake, rms2 = self._vibration.shake(truth.rpm, rows, m)
-        accel, clipped, accel_bias, force = self.accel.measure(
+        accel, clipped, accel_bias, accel_effective, force = self.accel.measure(
             force_b, rows, slot, extra, shake[:, 3:], None, rms2, warmth
         )
-        gyro, over, gyro_bias, _ = self.gyro.measure(
+        gyro, over, gyro_bias, gyro_effective, _ = self.gyro.measure(
             truth.rate_ib_b, rows, slot, extra, shake[:, :3], force, rms2, warmth
         )
         now = truth.t[-1] if n else 0.0
         stamp_ns, arrival_ns = nanoseconds(stamp), nanoseconds(slot)
         values = ImuRecord(stamp_ns, arrival_ns, gyro, accel, clipped | over, temperature)
-        errors = ImuErrorsRecord(stamp_ns, arrival_ns, gyro_bias, accel_bias)
+        errors = ImuErrorsRecord(stamp_ns, arrival_ns, gyro_bias, accel_bias, gyro_effective, accel_effective)
         return {"imu": self._outbox.post(values, slot, now), "imu_errors": self._errors.post(errors, slot, now)}
 
     def _temperature(self, air: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

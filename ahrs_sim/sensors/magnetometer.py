@@ -81,7 +81,7 @@ class Magnetometer:
         external = self._faults.field_n(truth.t) if self._faults.fields else np.zeros((n, 3))
         _field_in_body(here, rows.start, self._clock.every, self._held, external, truth.q_nb, truth.throttle,
                        self.motor_field, field_b)  # fmt: skip
-        values, saturated, _, _ = self.triad.measure(field_b, rows, t, np.zeros(len(t)))
+        values, saturated, *_ = self.triad.measure(field_b, rows, t, np.zeros(len(t)))
         ns = nanoseconds(t)
         sent = self._outbox.post(MagRecord(ns, ns, values, saturated), t, truth.t[-1] if n else 0.0)
         return {"mag": sent}

@@ -31,10 +31,16 @@ class ImuRecord(Record):
 
 @dataclass(frozen=True, slots=True)
 class ImuErrorsRecord(Record):
-    """Not sent by any instrument: the true bias in each `ImuRecord` (turn-on, in-run and temperature), for reports."""
+    """Not sent by any instrument: the true biases in each `ImuRecord`, for reports.
 
-    gyro_bias: np.ndarray = column(3)  # (n, 3) rad/s
+    The effective ones are all that a sample is off but noise, vibration and range: scale and misalignment times what is
+    measured, non-linearity and g-sensitivity, too. A navigator's bias state means these.
+    """
+
+    gyro_bias: np.ndarray = column(3)  # (n, 3) rad/s, turn-on, in-run and temperature
     accel_bias: np.ndarray = column(3)  # (n, 3) m/s2
+    gyro_effective_bias: np.ndarray = column(3)  # (n, 3) rad/s
+    accel_effective_bias: np.ndarray = column(3)  # (n, 3) m/s2
 
 
 @dataclass(frozen=True, slots=True)

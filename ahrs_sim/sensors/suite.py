@@ -2,7 +2,7 @@
 
 [suite.chr]
 grade = "chr_6dm"
-position_m = [0.1, 0.0, -0.05]       # FRD from the aircraft's reference; absent: at the centre of gravity
+position_m = [0.1, 0.0, -0.05]       # FRD from the centre of gravity at the start; absent: there
 yaw_deg = 90.0                       # mounting (roll, pitch, yaw), known to the unit: it sends body axes all the same
 mounting_error_deg = [0.0, 0.3, 0.0] # and what it does not know of its mounting
 instruments = ["imu", "magnetometer"] # absent: all that the grade has
@@ -154,7 +154,7 @@ def make_suite(
     """
     table = component.table()
     name = table.text("grade")
-    position = table.vector("position_m", None)
+    position = table.vector("position_m", [0.0, 0.0, 0.0])
     roll, pitch, yaw = (math.radians(table.number(f"{axis}_deg", 0.0)) for axis in ("roll", "pitch", "yaw"))
     error = np.radians(table.vector("mounting_error_deg", [0.0, 0.0, 0.0]))
     wanted = table.value("instruments", None)

@@ -107,7 +107,7 @@ class Triad:
     def measure(
         self, u_b: np.ndarray, rows: slice, t: np.ndarray, extra: np.ndarray, added: np.ndarray | None = None,
         force_b: np.ndarray | None = None, rms2: np.ndarray | None = None, warmth: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
         """Samples of one block.
 
         Args:
@@ -121,8 +121,9 @@ class Triad:
             warmth: (m,) K above the temperature at switch-on.
 
         Returns:
-            values (m, 3), saturated (m,), true bias (m, 3) of turn-on, in-run and temperature, and the noiseless input
-            (m, 3), all in body axes.
+            values (m, 3), saturated (m,), true bias (m, 3) of turn-on, in-run and temperature, effective bias (m, 3):
+            all that the values are off the input but noise, vibration and range, and the noiseless input (m, 3), all
+            in body axes.
         """
         m = len(t)
         u = self.band.apply(u_b, rows, extra)
@@ -134,14 +135,14 @@ class Triad:
         if added is not None:
             noise += added
         bias = self._in_run.draw(m)
-        out, saturated = np.empty((m, 3)), np.zeros(m, bool)
+        out, effective, saturated = np.empty((m, 3)), np.empty((m, 3)), np.zeros(m, bool)
         none = np.zeros(m)
         _triad(u, u if force_b is None else force_b, none if rms2 is None else rms2, none if warmth is None else warmth,
                noise, self._true_mount, self._mount, self.matrix, self._square, self._g_matrix, self._rectification,
-               self._tempco, self.turn_on, limit, self.figures.quantum, bias, out, saturated)  # fmt: skip
+               self._tempco, self.turn_on, limit, self.figures.quantum, bias, effective, out, saturated)  # fmt: skip
         if self.channel.sending:
             self.channel.send(t, out)
-        return out, saturated, bias, u
+        return out, saturated, bias, effective, u
 
 
 @njit
@@ -149,13 +150,13 @@ def _triad(
     u_b: np.ndarray, force_b: np.ndarray, rms2: np.ndarray, warmth: np.ndarray, noise: np.ndarray,
     true_mount: np.ndarray, mount: np.ndarray, matrix: np.ndarray, square: np.ndarray, g_matrix: np.ndarray,
     rectification: np.ndarray, tempco: np.ndarray, turn_on: np.ndarray, limit: np.ndarray, quantum: float,
-    bias: np.ndarray, out: np.ndarray, saturated: np.ndarray,
+    bias: np.ndarray, effective: np.ndarray, out: np.ndarray, saturated: np.ndarray,
 ) -> None:  # fmt: skip
     """The equation at the head of this file, row by row.
 
     `bias` (m, 3) comes as the in-run part in sensor axes and leaves as the whole in body axes.
     """
-    u, f, y, b = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    u, f, y, b, e = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in range(out.shape[0]):
         for k in range(3):
             c0, c1, c2 = true_mount[k, 0], true_mount[k, 1], true_mount[k, 2]
@@ -165,7 +166,8 @@ def _triad(
             b[k] = turn_on[k] + bias[i, k] + tempco[k] * warmth[i]
             v = matrix[k, 0] * u[0] + matrix[k, 1] * u[1] + matrix[k, 2] * u[2] + square[k] * u[k] * u[k]
             v += g_matrix[k, 0] * f[0] + g_matrix[k, 1] * f[1] + g_matrix[k, 2] * f[2] + rectification[k] * rms2[i]
-            v += b[k] + noise[i, k]
+            e[k] = v + b[k]
+            v = e[k] + noise[i, k]
             top = limit[i, k]
             if v > top or v < -top:
                 v = min(max(v, -top), top)
@@ -176,3 +178,4 @@ def _triad(
         for k in range(3):
             out[i, k] = mount[0, k] * y[0] + mount[1, k] * y[1] + mount[2, k] * y[2]
             bias[i, k] = mount[0, k] * b[0] + mount[1, k] * b[1] + mount[2, k] * b[2]
+            effective[i, k] = mount[0, k] * e[0] + mount[1, k] * e[1] + mount[2, k] * e[2] - u_b[i, k]

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from ahrs_sim.evaluation import metrics
+from ahrs_sim.review.compare import table
 
 ANGLE = st.floats(-3.1, 3.1)
 PITCH = st.floats(-1.4, 1.4)
@@ -81,3 +82,12 @@ def test_statistics_of_known_errors() -> None:
     assert values["tilt_rmse_deg"] == pytest.approx(np.sqrt(np.mean(np.arange(1, 101) ** 2)))
     assert values["tilt_p95_deg"] == pytest.approx(95.05)
     assert values["tilt_max_deg"] == pytest.approx(100)
+
+
+def test_the_table_says_how_much_of_the_time_an_estimate_covers() -> None:
+    figures = {f"{m}_{s}_deg": 1.0 for m in metrics.MEASURES for s in ("rmse", "p95", "max")}
+    whole, partial = ({**figures, "availability": share, "phases": {}} for share in (0.996, 0.798))
+    result = {"reference": "truth", "from_s": 0.0, "to_s": 10.0, "estimators": {"a": whole, "b": partial}}
+    lines = table(result).splitlines()
+    assert lines[2].endswith("available") and lines[3].endswith("99.6 %") and lines[4].endswith("79.8 %")
+    assert "available" not in table({**result, "estimators": {"a": whole}})

@@ -68,7 +68,7 @@ def test_antenna_lever_arm_and_velocity() -> None:
             [2 * (b * d - a * c), 2 * (c * d + a * b), a * a - b * b - c * c + d * d],
         ]
     ).transpose(2, 0, 1)
-    r = arm + np.array([0.5, 0, 0]) - flight.cg_b[rows]
+    r = arm + np.array([0.5, 0, 0]) + flight.cg_b[0] - flight.cg_b[rows]
     velocity = flight.vel_n[rows] + np.einsum("nij,nj->ni", c_nb, np.cross(flight.rate_ib_b[rows], r))
     np.testing.assert_allclose(out["velocity"].vel_n, velocity, atol=1e-12)
     lla = out["fix"].lla_deg * [math.pi / 180, math.pi / 180, 1.0]

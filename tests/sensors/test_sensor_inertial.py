@@ -1,5 +1,7 @@
 """Gyro, accelerometer and magnetometer: every deterministic term against its equation, every draw against its sigma."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -39,7 +41,7 @@ def test_lever_arm_from_the_moving_centre_of_gravity() -> None:
     flight = wild(400)
     place = np.array([1.2, -0.3, 0.4])
     out = run(suite("ideal", position_m=place.tolist(), **IMU), flight)
-    r = place - flight.cg_b
+    r = flight.cg_b[0] + place - flight.cg_b
     w, dw = flight.rate_ib_b, flight.rate_dot_b
     expected = flight.accel_b + np.cross(dw, r) + np.cross(w, np.cross(w, r))
     np.testing.assert_allclose(out["imu"].accel_b, expected[::4], atol=1e-13)
@@ -273,3 +275,30 @@ def test_finite_in_finite_out(seed: int, grade: str) -> None:
             assert name not in out or np.isfinite(getattr(out[name], column)).all()
     fixed = out["fix"].fix >= 0
     assert np.isfinite(out["fix"].lla_deg[fixed]).all()
+
+
+def test_the_effective_bias_is_all_but_noise() -> None:
+    """At rest with wings level: bias and (scale, misalignment) x g, which no bias state can tell apart."""
+    exact = {"bandwidth_hz": 0, "antialias_percent": 0, "delay_ms": 0}
+    accel = {"noise_density_mg_rthz": 0, "vibration_line_mps2": 0, "vibration_band_mps2": 0, "quantum_mg": 0, **exact}
+    gyro = {"noise_density_dps_rthz": 0, "vibration_line_dps": 0, "vibration_band_dps": 0, "quantum_dps": 0, **exact}
+    figures = {"accelerometer": accel, "gyro": gyro, "imu": {"jitter_ms": 0}, **IMU}
+    flight = dataclasses.replace(wild(4000), cg_b=np.zeros((4000, 3)))
+    out = run(suite("chr_6dm", **figures, mounting_error_deg=[0.5, 0.0, 0.0]), flight)
+    imu, errors = out["imu"], out["imu_errors"]
+    for kind, u in (("gyro", flight.rate_ib_b), ("accel", flight.accel_b)):
+        off = getattr(imu, f"{kind}_b") - getattr(errors, f"{kind}_effective_bias")
+        np.testing.assert_allclose(off, u[::4], atol=1e-12)
+    s = suite("chr_6dm", **figures)
+    level = run(s, truth(4000))["imu_errors"]
+    beyond = level.accel_effective_bias - level.accel_bias
+    scale = s.drawn()["accelerometer.matrix"] - np.eye(3)
+    np.testing.assert_allclose(beyond, np.tile(-9.81 * scale[:, 2], (len(beyond), 1)), atol=0.02)  # the rest: k u^2
+    assert np.abs(beyond).max() > 0.02
+
+
+def test_a_place_counts_from_the_centre_of_gravity() -> None:
+    """The example of docs/sensors.md lies inside the aircraft: 0.1 m ahead of the centre of gravity."""
+    flight = truth(400, rate_ib_b=[0.0, 0.0, 2.0], cg_b=[-0.5, 0.0, 0.0])
+    out = run(suite("ideal", position_m=[0.1, 0.0, -0.05], **IMU), flight)
+    np.testing.assert_allclose(out["imu"].accel_b[0], [-0.4, 0.0, -9.81], atol=1e-12)  # -w^2 r

@@ -31,7 +31,7 @@ def standing(grade: str, sensor: str, rate: float) -> tuple[TriadFigures, np.nda
         dt=1.0 / rate,
         epoch=EPOCH,
         start_lla=START,
-        position=None,
+        position=np.zeros(3),
         mount=np.eye(3),
         turned=np.eye(3),
         where=component(grade).where,

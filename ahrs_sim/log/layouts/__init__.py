@@ -124,7 +124,11 @@ def build(suites: Mapping[str, Sequence[str]], estimators: Sequence[str]) -> dic
             f"gyro bias {axis}, rad/s",
             [
                 *((f"/est/{name}/state.gyro_bias.{axis}", name) for name in estimators),
-                *((f"/{s}/imu/errors.gyro_bias.{axis}", f"{s} truth") for s in suites if "imu_errors" in suites[s]),
+                *(
+                    (f"/{s}/imu/errors.gyro_effective_bias.{axis}", f"{s} truth")
+                    for s in suites
+                    if "imu_errors" in suites[s]
+                ),
             ],
             [*_COLORS[: len(estimators)], "#888888", "#bbbbbb"],
         )
