@@ -209,7 +209,7 @@ def test_other_formats_leave_their_measurements(tmp_path: Path, capsys: pytest.C
 
 
 def test_a_bag_without_reference_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_bag(tmp_path / "a.mcap", motion(5.0))
+    write_bag(tmp_path / "a.mcap", motion(5.0, still=2.0))
     (tmp_path / "m.toml").write_text('[topics]\nreference = ""\n')
     out = tmp_path / "out.mcap"
     assert main(["replay", str(tmp_path / "a.mcap"), "--map", str(tmp_path / "m.toml"), "-o", str(out)]) == 0
