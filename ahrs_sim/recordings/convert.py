@@ -200,7 +200,7 @@ class Converter:
         return {"gyro_b": gyro @ axes.T, "accel_b": accel @ axes.T}
 
     def _mag(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
-        axes = self.mapping.mount @ frames.to_frd(choice.body)
+        axes = self.mapping.mag_axes(choice.body)
         raw = self.mapping.mag_unit * field(array)
         return {"mag_b": (raw - self.calibration.hard_iron) @ (axes @ self.calibration.soft_iron).T}
 

@@ -1,5 +1,6 @@
 """Axes of others and ours: FLU to FRD, ENU to NED, and which of them a frame's name says."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -64,6 +65,14 @@ def from_euler(angles: np.ndarray) -> np.ndarray:
     for i, (roll, pitch, yaw) in enumerate(angles):
         rotations.from_euler(roll, pitch, yaw, out[i])
     return out
+
+
+def euler_of(C: np.ndarray) -> np.ndarray:
+    """Roll, pitch, yaw (3,) rad of a rotation matrix (3, 3)."""
+    level = math.hypot(C[0, 0], C[1, 0])
+    if level < 1e-6:  # straight up or down: roll is what is left
+        return np.array([math.atan2(-C[1, 2], C[1, 1]), math.atan2(-C[2, 0], level), 0.0])
+    return np.array([math.atan2(C[2, 1], C[2, 2]), math.atan2(-C[2, 0], level), math.atan2(C[1, 0], C[0, 0])])
 
 
 def named(array: np.ndarray, type_name: str) -> tuple[str, str]:

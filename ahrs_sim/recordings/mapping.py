@@ -17,6 +17,7 @@ Everything in a map is optional:
     unit = "uT"
     hard_iron = [39.2, 16.1, -39.6]                         # in that unit and in the axes of the messages
     soft_iron = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]    # row by row: m = soft (raw - hard)
+    yaw_deg = 90.0          # how it sits on the IMU, where the two differ
     [imu]
     gyro_unit = "deg/s"
     accel_unit = "g"
@@ -103,6 +104,7 @@ class Map:
     reference_body: str | None
     reference_world: str | None
     mount: np.ndarray  # C_bs (3, 3), sensor to vehicle, both FRD
+    mag_mount: np.ndarray  # (3, 3), magnetometer to IMU, both FRD
     mag_unit: float  # T
     hard_iron: np.ndarray  # (3,) T, in the axes of the messages
     soft_iron: np.ndarray  # (3, 3)
@@ -114,6 +116,11 @@ class Map:
     shifts: Mapping[str, int]  # ns, by kind
     sensors: Mapping[str, Any]
     estimators: tuple[Component, ...]
+
+    def mag_axes(self, body: str) -> np.ndarray:
+        """(3, 3) from a magnetometer's messages in `body` axes to the vehicle's FRD."""
+        axes: np.ndarray = self.mount @ self.mag_mount @ frames.to_frd(body)
+        return axes
 
 
 def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
@@ -134,12 +141,13 @@ def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
     )
     axes.close()
     mounting = table.table("mounting")
-    mount = rotation(*(math.radians(mounting.number(f"{a}_deg", 0.0)) for a in ("roll", "pitch", "yaw")))
+    mount = _rotation(mounting)
     mounting.close()
     mag = table.table("magnetometer")
     unit = UNITS[mag.choice("unit", ["T", "uT", "nT", "G", "mG"], "T")]
     hard = mag.vector("hard_iron", [0.0, 0.0, 0.0]) * unit
     soft = mag.vector("soft_iron", np.eye(3).ravel().tolist(), size=9).reshape(3, 3)
+    mag_mount = _rotation(mag)
     mag.close()
     imu = table.table("imu")
     gyro_unit = UNITS[imu.choice("gyro_unit", ["rad/s", "deg/s"], "rad/s")]
@@ -160,6 +168,7 @@ def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
         reference_body=reference[0],
         reference_world=reference[1],
         mount=mount,
+        mag_mount=mag_mount,
         mag_unit=unit,
         hard_iron=hard,
         soft_iron=soft,
@@ -177,6 +186,10 @@ def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
     )
     table.close()
     return mapping
+
+
+def _rotation(table: Table) -> np.ndarray:
+    return rotation(*(math.radians(table.number(f"{a}_deg", 0.0)) for a in ("roll", "pitch", "yaw")))
 
 
 def _place(table: Table) -> dict[str, float]:

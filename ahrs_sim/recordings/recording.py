@@ -13,7 +13,8 @@ import numpy as np
 
 import estimators as library
 from ahrs_sim.errors import InputError
-from ahrs_sim.recordings import frames, mapping, survey
+from ahrs_sim.recordings import calibration as calibrating
+from ahrs_sim.recordings import checks, frames, inertial, mapping, survey
 from ahrs_sim.recordings.convert import RECORDED, Calibration, Converter
 from ahrs_sim.recordings.mapping import SUITE, Choice, Map
 from ahrs_sim.recordings.sources import Source, open_source
@@ -141,7 +142,7 @@ def _opened(
     model = _field(place, source.epoch_ns, map_, notes)
     norm = float(np.linalg.norm(model)) if model is not None else None
     calibration, kept = _calibrated(seen, map_, chosen, calibrate, norm, notes)
-    axes = map_.mount @ frames.to_frd(chosen["mag"].body if "mag" in chosen else "FLU")
+    axes = map_.mag_axes(chosen["mag"].body if "mag" in chosen else "FLU")
     mag_b = (seen.mag - calibration.hard_iron) @ (axes @ calibration.soft_iron).T
     if model is None:
         model = survey.field_at_rest(seen, mag_b)
@@ -152,16 +153,23 @@ def _opened(
                 else "no position: field from the data, declination from the map"
             )
             model = _turned(model, map_.place.get("declination_deg"))
-    reference = chosen.get("reference")
-    suspicions = survey.suspicions(
-        seen, (chosen["imu"].body, chosen["imu"].world), (reference.body, reference.world) if reference else None, norm
-    )
-    notes += [f"check: {line}" for line in suspicions]
-    map_ = _synchronised(seen, map_, sync, notes) if reference else map_
     lla = place or _UNKNOWN_PLACE
+    reference = chosen.get("reference")
+    delay = survey.reference_delay(seen) if reference else None
+    assumed = checks.Assumed(
+        body=chosen["imu"].body,
+        reference=(reference.body, reference.world) if reference else None,
+        mag_axes=axes,
+        mag_b=mag_b,
+        field_n=model if place else None,
+        delay=delay or 0.0,
+    )
+    track = inertial.track(seen, gravity_at(lla))
+    notes += [f"check: {line}" for line in [*checks.suspicions(seen, assumed, track), *checks.missing(chosen, seen)]]
+    map_ = _synchronised(delay, map_, sync, notes) if reference else map_
     site = Site(
         lla=lla,
-        gravity=float(gravity.normal_gravity(np.array([lla]))[0]) if place else 9.80665,
+        gravity=gravity_at(lla) if place else survey.G,
         mag_n=_NO_FIELD if model is None else (float(model[0]), float(model[1]), float(model[2])),
     )
     sensors = SensorInfo(**{"rate": seen.rate, **map_.sensors})
@@ -191,7 +199,7 @@ def _recorded(source: Source, reference: Choice | None) -> dict[str, Choice]:
 def _magnetometer_as_is(converter: Converter, source: Source, topics: list[str]) -> Iterator[SuiteBlock]:
     """Records whose magnetometer is turned back into the axes of its messages."""
     choice = converter.chosen.get("mag")
-    axes = converter.mapping.mount @ frames.to_frd(choice.body) if choice else np.eye(3)
+    axes = converter.mapping.mag_axes(choice.body) if choice else np.eye(3)
     for block in converter.records(source.blocks(topics)):
         if "mag" in block:
             mag: Any = block["mag"]
@@ -247,8 +255,8 @@ def _calibrated(
     """What to take out of the sensors, and the same as texts to keep."""
     calibration = Calibration(map_.hard_iron, map_.soft_iron, map_.gyro_bias)
     if "mag" in calibrate:
-        axes = map_.mount @ frames.to_frd(chosen["mag"].body) if "mag" in chosen else np.eye(3)
-        fit = survey.fit_mag(seen.mag, survey.turns(seen, axes), norm)
+        axes = map_.mag_axes(chosen["mag"].body) if "mag" in chosen else np.eye(3)
+        fit = calibrating.fit_mag(seen.mag, calibrating.turns(seen, axes), norm)
         if fit is None:
             why = "no magnetometer" if "mag" not in chosen else "too little turning"
             raise InputError(f"--calibrate mag: {why} in this recording; leave it out or give [magnetometer] in a map")
@@ -260,7 +268,7 @@ def _calibrated(
         )
         notes.append(f"hard_iron = {_list(fit.hard_iron / unit)}; soft_iron = {_list(fit.soft_iron)}")
     if "gyro" in calibrate:
-        found = survey.gyro_bias(seen)
+        found = calibrating.gyro_bias(seen)
         if found is None:
             raise InputError("--calibrate gyro: the recording never stands still for a second; leave it out")
         bias_b, seconds = found
@@ -275,8 +283,12 @@ def _calibrated(
     return calibration, kept
 
 
-def _synchronised(seen: survey.Survey, map_: Map, sync: bool, notes: list[str]) -> Map:
-    delay = survey.reference_delay(seen)
+def gravity_at(lla: tuple[float, float, float]) -> float:
+    """Normal gravity (m/s2) at a place (rad, rad, m)."""
+    return float(gravity.normal_gravity(np.array([lla]))[0])
+
+
+def _synchronised(delay: float | None, map_: Map, sync: bool, notes: list[str]) -> Map:
     if delay is None or abs(delay) < 5e-4:
         return map_
     if not sync:

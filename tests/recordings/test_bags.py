@@ -13,7 +13,7 @@ from mcap.writer import Writer
 from ahrs_sim.errors import InputError
 from ahrs_sim.evaluation.sync import constant_rotations, heading_offset, rates, time_shift
 from ahrs_sim.log.mcap.writer import LogWriter
-from ahrs_sim.recordings import frames, survey
+from ahrs_sim.recordings import calibration, frames
 from ahrs_sim.recordings.recording import Bag, open_bag
 from ahrs_sim.sensors.assemble import Assembler
 from estimators.types import Samples
@@ -219,7 +219,7 @@ def test_stamps_of_another_clock(tmp_path: Path, moving: Motion) -> None:
         ({"body": "FRD"}, "", "accelerometer reads -g on z at rest: frame is FRD?"),
         ({}, '[frames]\nbody = "FRD"', "accelerometer reads +g on z at rest: frame is FLU?"),
         ({"mag_scale": 1e4}, "", "unit is G?"),
-        ({}, '[imu]\naccel_unit = "g"', "m/s2 at rest: unit"),
+        ({}, '[imu]\naccel_unit = "g"', "m/s2 in the median: unit"),
         ({}, '[frames]\nreference_body = "FRD"', "turn against the reference attitude"),
     ],
 )
@@ -255,14 +255,14 @@ def test_ellipsoid_fit_of_a_plain_cloud() -> None:
     soft = np.array([[1.08, 0.03, -0.02], [0.03, 0.95, 0.04], [-0.02, 0.04, 1.02]])
     hard = np.array([1e-5, -2e-5, 3e-5])
     mag = 5e-5 * (u / np.linalg.norm(u, axis=1, keepdims=True)) @ np.linalg.inv(soft) + hard
-    none = survey.Turns(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3)))
-    fit = survey.fit_mag(mag, none, 5e-5)
+    none = calibration.Turns(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3)))
+    fit = calibration.fit_mag(mag, none, 5e-5)
     assert fit is not None
     assert fit.hard_iron == pytest.approx(hard, abs=3e-7)
     assert fit.soft_iron == pytest.approx(soft, abs=0.01)
     assert fit.after < 0.1 * fit.before
-    assert survey.fit_mag(mag[:10], none, 5e-5) is None
-    assert survey.fit_mag(np.tile([1e-5, 0, 4e-5], (500, 1)), none, 5e-5) is None
+    assert calibration.fit_mag(mag[:10], none, 5e-5) is None
+    assert calibration.fit_mag(np.tile([1e-5, 0, 4e-5], (500, 1)), none, 5e-5) is None
 
 
 def test_without_a_position_the_field_comes_from_the_data(tmp_path: Path, moving: Motion) -> None:

@@ -1,0 +1,417 @@
+"""What in a recording contradicts the conventions assumed, a line each: units, axes, signs, delays.
+
+A line names a cause only when the data single it out: the wrong assumption fits badly, one other fits well, and no
+third comes near. Where motion is too little to tell, nothing is said.
+"""
+
+import math
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
+from itertools import permutations, product
+
+import numpy as np
+
+from ahrs_sim.evaluation.metrics import interpolate
+from ahrs_sim.evaluation.sync import rates
+from ahrs_sim.recordings import frames, inertial
+from ahrs_sim.recordings.calibration import Turns, turns
+from ahrs_sim.recordings.inertial import Track
+from ahrs_sim.recordings.survey import BIN_S, G, Survey
+
+GYRO_RANGE = 70.0  # rad/s, 4000 deg/s: no gyro of a vehicle measures more
+_CALM = 0.6  # m/s2 off gravity up to which an accelerometer shows the vertical
+_LATE = 0.05  # s: smaller delays of GNSS are not worth a line
+_MISFIT = 1.0  # m/s: IMU and GNSS velocity agree to less than this
+_DIP = math.radians(20.0)
+_COURSE = math.radians(8.0)
+_HEADING_KNOWN = math.radians(4.0)  # sigma up to which a window's attitude counts as known
+_TURN_BINS = 5
+
+
+@dataclass(frozen=True)
+class Assumed:
+    """What is taken to be so."""
+
+    body: str  # axes of the IMU's messages
+    reference: tuple[str, str] | None  # body and world axes of the reference attitude, when there is one
+    mag_axes: np.ndarray  # (3, 3) from the axes of the magnetometer's messages to FRD
+    mag_b: np.ndarray  # (n, 3) T in FRD, calibrated
+    field_n: np.ndarray | None  # (3,) T NED, field of the place; None: not known
+    delay: float  # s, by which the reference is later than the gyro
+
+
+def suspicions(s: Survey, assumed: Assumed, track: Track | None) -> list[str]:
+    """Lines on what contradicts the assumptions.
+
+    Args:
+        s: the survey.
+        assumed: what is taken to be so.
+        track: IMU and GNSS velocity together, where there is enough of both.
+    """
+    found = _accelerometer(s, assumed.body) or _at_rest(s, assumed.body)
+    units = _gyro_unit(s) + _field_unit(s, assumed.field_n)
+    found += units
+    if not found:
+        found += _orientation(s, assumed, track) or _dip(s, assumed)
+    if track is not None and track.misfit < _MISFIT:
+        if track.delay_sigma < _LATE and abs(track.delay) > _LATE + 3.0 * track.delay_sigma:
+            found.append(late_line(track))
+        if not found:
+            found += _course(assumed, track)
+    if assumed.reference:
+        found += _against_reference(s, assumed.reference, assumed.delay, bool(units))
+    return found
+
+
+def missing(chosen: Collection[str], s: Survey) -> list[str]:
+    """Lines on sensors that are not there (of all kinds) and what that makes of the errors."""
+    found = []
+    moved = np.ptp(s.fixes[:, :2], axis=0).max() if len(s.fixes) else 0.0
+    if moved > 1e-5 and "velocity" not in chosen:
+        found.append("positions without a velocity: no GNSS aid for estimators; [topics] velocity names its topic")
+    if not {"mag", "heading", "velocity"} & set(chosen):
+        found.append("nothing in it measures heading: its error is that of the start; --align heading takes it out")
+    return found
+
+
+def late_line(track: Track) -> str:
+    """The line on a delay of the GNSS velocity."""
+    word = "late" if track.delay > 0 else "early"
+    shift = -round(track.delay, 2)
+    return (
+        f"GNSS velocity is {word} by {abs(track.delay):.2f} +- {max(track.delay_sigma, 0.005):.2f} s: "
+        f"[time] velocity_s = {shift:g} (and fix_s, of the same receiver)"
+    )
+
+
+# ----------------------------------------------------------------------------------------------- accelerometer
+
+
+def _accelerometer(s: Survey, body: str) -> list[str]:
+    """Unit, missing gravity and sign of the accelerometer, by its norm over the whole recording."""
+    norm = np.linalg.norm(s.accel_b, axis=1)
+    if len(norm) < 50:
+        return []
+    low, middle, high = np.quantile(norm, [0.25, 0.5, 0.75])
+    for unit, size in (("g", 1.0), ("mg", 1000.0)):
+        if 0.8 * size < middle < 1.3 * size and high < 1.5 * low:
+            return [f"accelerometer reads {middle:.2f} in the median: unit is {unit}? ([imu] accel_unit)"]
+    as_gravity = np.mean((norm > 0.8 * G) & (norm < 1.2 * G))
+    if middle < 0.5 * G and as_gravity < 0.1:
+        return [f"accelerometer reads {middle:.2f} m/s2 in the median: gravity removed from it? It has to read it"]
+    if middle > 30.0 or (middle < 0.7 * G and high < 1.3 * low):
+        return [f"accelerometer reads {middle:.4g} m/s2 in the median: unit? ([imu] accel_unit)"]
+    if s.still.sum() >= 5:
+        return []  # `_at_rest` looks closer
+    up = s.accel_b[:, 2] / np.maximum(norm, 1e-9)
+    if np.mean(up > 0.5) > 0.9:
+        sign, other = ("-g", "FRD") if body == "FLU" else ("+g", "FLU")
+        return [f"accelerometer reads {sign} on z almost always: frame is {other}, or its sign? ([frames] body)"]
+    return []
+
+
+def _at_rest(s: Survey, body: str) -> list[str]:
+    still = s.still
+    if still.sum() < 5:
+        return []
+    force = np.median(s.accel_b[still], axis=0)
+    norm = float(np.linalg.norm(force))
+    other = {"FLU": "FRD", "FRD": "FLU"}[body]
+    if not 0.9 * G < norm < 1.1 * G:
+        return [f"accelerometer reads {norm:.2f} m/s2 at rest: unit or gravity removed?"]
+    if force[2] > 0.7 * norm:
+        sign = "-g" if body == "FLU" else "+g"
+        return [f"accelerometer reads {sign} on z at rest: frame is {other}? ([frames] body)"]
+    if abs(force[2]) < 0.7 * norm:
+        return ["accelerometer's z is not vertical at rest: mounting? ([mounting])"]
+    return []
+
+
+# ----------------------------------------------------------------------------------------------- gyro
+
+
+def _gyro_unit(s: Survey) -> list[str]:
+    """Degrees for radians, by the range of any gyro and by the turning of field and gravity."""
+    rate = np.linalg.norm(s.gyro_b, axis=1)
+    if len(rate) and np.quantile(rate, 0.99) > GYRO_RANGE:
+        return [f"gyro reads up to {rate.max():.0f} rad/s: unit is deg/s? ([imu] gyro_unit)"]
+    calm = np.abs(np.linalg.norm(s.accel_b, axis=1) - G) < _CALM
+    for seen, of, offset in ((s.mag, "field", True), (np.where(calm[:, None], s.accel_b, np.nan), "gravity", False)):
+        slope, share = _turning(s, seen, offset)
+        if share > 0.7 and 0.5 < slope * 180.0 / math.pi < 2.0:
+            return [f"gyro reads {1 / slope:.0f} times the turning of the {of}: unit is deg/s? ([imu] gyro_unit)"]
+    return []
+
+
+def _turning(s: Survey, seen: np.ndarray, offset: bool) -> tuple[float, float]:
+    """How much of the gyro's rate a vector (n, 3) fixed in the world turns with, and the share of it explained."""
+    dt = np.diff(s.t)
+    change, middle = np.diff(seen, axis=0), 0.5 * (seen[1:] + seen[:-1])
+    turn = 0.5 * (s.gyro_b[1:] + s.gyro_b[:-1]) * dt[:, None]
+    good = np.isfinite(change).all(axis=1) & (dt < 2.5 * BIN_S)
+    change, middle, turn = change[good], middle[good], turn[good]
+    if len(change) < 50:
+        return math.nan, 0.0
+    columns = [-np.cross(turn, middle).ravel()]
+    if offset:
+        columns += [np.cross(turn, e).ravel() for e in np.eye(3)]
+    A = np.column_stack(columns)
+    x = np.linalg.lstsq(A, change.ravel(), rcond=1e-9)[0]
+    left, total = change.ravel() - A @ x, float(np.sum(change**2))
+    return float(x[0]), 1.0 - float(left @ left) / total if total > 0 else 0.0
+
+
+def signed_axes() -> Iterator[tuple[str, np.ndarray]]:
+    """All 48 signed permutations of three axes: name and matrix (3, 3); the 24 of determinant 1 are rotations."""
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            for row, (column, sign) in enumerate(zip(order, signs, strict=True)):
+                matrix[row, column] = sign
+            yield " ".join(("" if x > 0 else "-") + "xyz"[k] for k, x in zip(order, signs, strict=True)), matrix
+
+
+# ----------------------------------------------------------------------------------------------- field
+
+
+def _field_unit(s: Survey, field_n: np.ndarray | None) -> list[str]:
+    norm = float(np.nanmedian(np.linalg.norm(s.mag, axis=1))) if np.isfinite(s.mag).any() else math.nan
+    field = float(np.linalg.norm(field_n)) if field_n is not None else 5e-5
+    if not math.isfinite(norm) or norm <= 0.0 or (field_n is None and 1e-5 < norm < 2e-4):
+        return []
+    if 1 / 3 < norm / field < 3:
+        return []
+    units = (("G", 1e-4), ("mG", 1e-7), ("uT", 1e-6), ("nT", 1e-9))
+    unit = next((u for u, f in units if 0.3 < norm * f / field < 3), "")
+    place = "the field of the place" if field_n is not None else "the Earth's field"
+    says = f"unit is {unit}? ([magnetometer] unit)" if unit else (
+        f"counts? soft_iron = [k, 0, 0, 0, k, 0, 0, 0, k] with k = {field / norm:.3g} scales them ([magnetometer])"
+    )  # fmt: skip
+    return [f"magnetometer reads {norm:.3g} T, {place} is {field:.3g} T: {says}"]
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """How a magnetometer sits against the gyro, of all signed permutations of axes."""
+
+    name: str
+    matrix: np.ndarray  # (3, 3) takes its readings to those that fit
+    mirrored: bool  # fits with the rates of the gyro reversed: `matrix` is a rotation then
+    misfit: float  # share of the turning that is left
+    before: float  # the same of the readings as they are
+    unique: bool  # no other comes near
+
+
+def orientation(s: Survey, mag_b: np.ndarray, dip: float | None) -> Orientation | None:
+    """The signed permutation of axes with which the field turns as the gyro says, and has the dip of the place.
+
+    A vector and its opposite turn alike, so without a dip only the 24 rotations are tried.
+
+    Args:
+        s: the survey.
+        mag_b: (n, 3) T.
+        dip: rad, of the field below the horizon; None: not known.
+    """
+    s = replace(s, mag=mag_b)
+    pairs = turns(s, np.eye(3), _TURN_BINS)
+    against = turns(inertial.scaled(s, -np.eye(3), np.eye(3)), np.eye(3), _TURN_BINS)
+    if len(pairs.C) < 100 or not _about_all_axes(pairs):
+        return None
+    results = []
+    for name, matrix in signed_axes():
+        rotates = np.linalg.det(matrix) > 0
+        if rotates or dip is not None:
+            off = _dip_misfit(s, mag_b @ matrix.T, dip)
+            results.append((_turn_misfit(pairs, matrix) + off, name, matrix, False))
+        if rotates:
+            results.append((_turn_misfit(against, matrix) + _dip_misfit(s, mag_b, dip), name, matrix, True))
+    results.sort(key=lambda r: r[0])
+    now = next(left for left, name, _, mirrored in results if name == "x y z" and not mirrored)
+    (best, name, matrix, mirrored), (second, *_) = results[:2]
+    return Orientation(name, matrix, mirrored, best, now, second > max(3.0 * best, best + 0.05))
+
+
+def _dip_misfit(s: Survey, mag_b: np.ndarray, dip: float | None) -> float:
+    """What speaks against a dip that is off by more than 15 deg, from 0 to 2; 0 where nothing is known."""
+    angle = _dip_of(s, mag_b) if dip is not None else None
+    if angle is None or dip is None or abs(angle - dip) < math.radians(15.0):
+        return 0.0
+    return 1.0 - math.cos(angle - dip)
+
+
+def _about_all_axes(pairs: Turns) -> bool:
+    """Whether the turns are not all about one axis."""
+    axis = np.stack(
+        [pairs.C[:, 2, 1] - pairs.C[:, 1, 2], pairs.C[:, 0, 2] - pairs.C[:, 2, 0], pairs.C[:, 1, 0] - pairs.C[:, 0, 1]],
+        axis=1,
+    )
+    spread = np.linalg.eigvalsh(axis.T @ axis)
+    return bool(spread[1] > 0.03 * spread[2])
+
+
+def _turn_misfit(pairs: Turns, matrix: np.ndarray) -> float:
+    """Share of the change of the field, turned by a matrix (3, 3), that the gyro does not explain, hard iron apart."""
+    turned = np.einsum("ji,njk,kl->nil", matrix, pairs.C, matrix)  # as the magnetometer's axes see it
+    A = (turned - np.eye(3)).reshape(-1, 3)
+    b = (np.einsum("nij,nj->ni", turned, pairs.before) - pairs.after).ravel()
+    left = b - A @ np.linalg.lstsq(A, b, rcond=1e-6)[0]
+    size = np.linalg.norm(left.reshape(-1, 3), axis=1)
+    moved = np.linalg.norm(pairs.after - pairs.before, axis=1)
+    return float(np.median(size) / max(np.median(moved), 1e-12))
+
+
+def _dip_of(s: Survey, mag_b: np.ndarray) -> float | None:
+    """Angle (rad) of the field below the horizon where the accelerometer shows the vertical; None: nowhere."""
+    norm = np.linalg.norm(s.accel_b, axis=1)
+    calm = s.still if s.still.sum() > 50 else np.abs(norm - G) < _CALM
+    calm = calm & np.isfinite(mag_b).all(axis=1)
+    if calm.sum() < 50:
+        return None
+    down = -s.accel_b[calm] / norm[calm, None]
+    sine = np.sum(mag_b[calm] * down, axis=1) / np.linalg.norm(mag_b[calm], axis=1)
+    return float(np.arcsin(np.clip(np.median(sine), -1.0, 1.0)))
+
+
+def _orientation(s: Survey, assumed: Assumed, track: Track | None) -> list[str]:
+    """A magnetometer that is mounted another way round than the gyro."""
+    if not np.isfinite(assumed.mag_b).any():
+        return []
+    dip = (
+        math.asin(assumed.field_n[2] / float(np.linalg.norm(assumed.field_n))) if assumed.field_n is not None else None
+    )
+    found = orientation(s, assumed.mag_b, dip)
+    if found is None or not found.unique or (found.name == "x y z" and not found.mirrored):
+        return []
+    if found.misfit > 0.35 or found.before < 3.0 * found.misfit or found.before < 0.4:
+        return []
+    handed = "" if np.linalg.det(found.matrix) > 0 else ", a left-handed frame,"
+    sign = -1.0 if found.mirrored else float(np.linalg.det(found.matrix))
+    gyro = sign * found.matrix.T  # the same turning, if it is the gyro that is wrong
+    if found.mirrored or _fits_better(s, gyro, track):
+        name = next(name for name, matrix in signed_axes() if (matrix == gyro).all())
+        handed = ", a left-handed frame," if found.mirrored else ""
+        return [f"the field turns as the gyro says with gyro axes read as ({name}){handed} not as they are: mounting?"]
+    return [
+        f"the field turns as the gyro says with magnetometer axes read as ({found.name}){handed} not as they are: "
+        f"{mounting_lines(found.matrix, assumed.mag_axes)}"
+    ]
+
+
+def _fits_better(s: Survey, gyro: np.ndarray, track: Track | None) -> bool:
+    """Whether accelerometer and GNSS, or gravity alone, agree with a gyro turned by a matrix (3, 3) better."""
+    other = inertial.scaled(s, gyro, np.eye(3))
+    if track is not None:
+        made = inertial.windows(other)
+        fit = inertial.track(other, track.gravity, made=made, delay=track.delay)
+        return fit is not None and fit.misfit < 0.5 * track.misfit
+    calm = np.abs(np.linalg.norm(s.accel_b, axis=1) - G) < _CALM
+    seen = np.where(calm[:, None], s.accel_b, np.nan)
+    return _turning(other, seen, offset=False)[1] > max(0.7, 2.0 * _turning(s, seen, offset=False)[1])
+
+
+def mounting_lines(matrix: np.ndarray, mag_axes: np.ndarray) -> str:
+    """What to write into a map for a magnetometer whose readings in FRD a matrix (3, 3) puts right."""
+    if np.linalg.det(matrix) > 0:
+        angles = np.degrees(frames.euler_of(matrix))
+        return "[magnetometer] " + ", ".join(
+            f"{a}_deg = {round(x):d}" for a, x in zip(("roll", "pitch", "yaw"), angles, strict=True) if abs(x) > 0.5
+        )
+    own = mag_axes.T @ matrix @ mag_axes
+    return f"[magnetometer] soft_iron = [{', '.join(f'{x:g}' for x in (own + 0.0).ravel())}]"
+
+
+def _dip(s: Survey, assumed: Assumed) -> list[str]:
+    """An angle between field and gravity that the place does not have."""
+    if assumed.field_n is None:
+        return []
+    dip = math.asin(assumed.field_n[2] / float(np.linalg.norm(assumed.field_n)))
+    angle = _dip_of(s, assumed.mag_b)
+    if angle is None or abs(angle - dip) < _DIP:
+        return []
+    text = f"field is {math.degrees(angle):.0f} deg below the horizon, at this place it is {math.degrees(dip):.0f}"
+    if abs(angle + dip) < 0.5 * _DIP and abs(dip) > _DIP:
+        return [f"{text}: sign of the accelerometer or of the magnetometer?"]
+    return [f"{text}: hard iron (--calibrate mag), mounting or place?"]
+
+
+@dataclass(frozen=True)
+class Course:
+    """How the field stands to that of the model, by the headings of GNSS and IMU."""
+
+    offset: float  # rad, to the right
+    sigma: float
+    spread: float  # rad, RMS about it, from one stretch of flight to the next
+    count: int
+
+
+def course(mag_b: np.ndarray, field_n: np.ndarray, track: Track) -> Course | None:
+    """Direction of the field (n, 3) against the model's; None when too few headings are known."""
+    w = track.windows
+    angles = []
+    for k in track.which[track.heading_sigma[track.which] < _HEADING_KNOWN]:
+        rows = np.arange(w.first[k], w.last[k] + 1)
+        rows = rows[np.isfinite(mag_b[rows]).all(axis=1)]
+        if len(rows) < 20:
+            continue
+        field = np.einsum("nij,nj->ni", track.attitude(rows), mag_b[rows]).mean(axis=0)
+        if math.hypot(field[0], field[1]) > 0.05 * np.linalg.norm(field):
+            angles.append(math.atan2(field[1], field[0]) - math.atan2(field_n[1], field_n[0]))
+    if len(angles) < 4:
+        return None
+    around = np.exp(1j * np.array(angles))
+    middle = complex(np.mean(around))
+    off = np.angle(around / middle)
+    spread = float(np.std(off, ddof=1))
+    return Course(float(np.angle(middle)), spread / math.sqrt(len(off)), spread, len(off))
+
+
+def _course(assumed: Assumed, track: Track) -> list[str]:
+    if assumed.field_n is None or not np.isfinite(assumed.mag_b).any():
+        return []
+    found = course(assumed.mag_b, assumed.field_n, track)
+    if found is None:
+        return []
+    off, sigma, spread = (abs(math.degrees(x)) for x in (found.offset, found.sigma, found.spread))
+    if spread > math.degrees(_COURSE):
+        return [
+            f"magnetic north scatters by {spread:.0f} deg about where GNSS and IMU have it, from heading to heading: "
+            "hard iron? (--calibrate mag)"
+        ]
+    if abs(found.offset) < _COURSE + 3.0 * found.sigma:
+        return []
+    side = "right" if found.offset > 0 else "left"
+    return [
+        f"magnetic north is {off:.0f} +- {sigma:.0f} deg to the {side} of where GNSS and IMU have it: "
+        "mounting or declination? ([magnetometer] yaw_deg, [place] declination_deg)"
+    ]
+
+
+# ----------------------------------------------------------------------------------------------- reference
+
+
+def _against_reference(s: Survey, axes: tuple[str, str], delay: float, units: bool) -> list[str]:
+    t, q = s.t_reference - delay, s.q_nb
+    if len(t) < 20 or len(s.t) < 20:
+        return []
+    found = []
+    force_n = frames.rotate(interpolate(t, q, s.t), s.accel_b)
+    up = np.nanmean(force_n, axis=0) if np.isfinite(force_n).any() else np.zeros(3)
+    if np.linalg.norm(up) > 0.5 * G and up[2] > 0:
+        found.append(f"gravity points up by the reference attitude: its axes are not {axes[0]}, {axes[1]}? ([frames])")
+    reference_rate = rates(t, q, s.t, BIN_S)
+    good = np.isfinite(reference_rate).all(axis=1)
+    moving = good & (np.linalg.norm(np.nan_to_num(reference_rate), axis=1) > math.radians(5.0))
+    if moving.sum() < 20:
+        return found
+    mine, theirs = s.gyro_b[moving], reference_rate[moving]
+    slope = np.sum(mine * theirs, axis=0) / np.maximum(np.sum(theirs**2, axis=0), 1e-12)
+    strong = np.sqrt(np.mean(theirs**2, axis=0)) > 0.2 * np.sqrt(np.mean(theirs**2))
+    if 20 < np.median(np.abs(slope[strong])) < 100:
+        line = "gyro reads 57 times the rate of the reference attitude: unit is deg/s? ([imu] gyro_unit)"
+        return found if units else [*found, line]
+    wrong = [a for a, k, use in zip("xyz", slope, strong, strict=True) if use and k < -0.3]
+    if wrong:
+        found.append(f"gyro {' and '.join(wrong)} turn against the reference attitude: frame or mounting? ([frames])")
+    elif (slope[strong] < 0.5).any():
+        found.append("gyro does not follow the reference attitude: mounting, or another body? ([mounting])")
+    return found
