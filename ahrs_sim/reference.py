@@ -87,6 +87,7 @@ def scenario_tables() -> dict[str, Keys]:
         found[where] = {**found.get(where, {}), **keys}
     top = found["file"] | {"motion": Key("table", False)}
     tables = {"": {"extends": Key("text", False), **top, "catalogue": Key("text", False)}}
+    tables[""]["estimators"] = Key("texts", False)
     for name in ("start", "wind", "pilot"):
         tables[name] = found[f"file: [{name}]"]
     tables["wind.gust"] = found["file: [wind]: [[gust]] 1"]
@@ -178,7 +179,7 @@ def limits(key: Key) -> str:
     parts = [f"> {key.above:g}"] if key.above > -math.inf else []
     parts += [f">= {key.minimum:g}"] if key.minimum > -1e15 and key.above == -math.inf else []
     parts += [f"<= {key.maximum:g}"] if key.maximum < 1e15 else []
-    words = {"flag": "true or false", "date": "date and time", "integer": "whole number"}
+    words = {"texts": "list of texts", "flag": "true or false", "date": "date and time", "integer": "whole number"}
     form = words.get(key.form, key.form)
     return " and ".join([form, *parts]) if key.form in ("number", "integer") else form
 
@@ -297,6 +298,8 @@ def _property(name: str, key: Key) -> dict[str, Any]:
         made["type"] = forms[key.form]
     elif key.form == "vector":
         made = {"type": "array", "items": {"type": "number"}, "minItems": key.size, "maxItems": key.size}
+    elif key.form == "texts":
+        made = {"type": "array", "items": {"type": "string"}}
     elif key.form in ("table", "named tables"):
         made["type"] = "object"
     elif key.form == "list of tables":

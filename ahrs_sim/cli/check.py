@@ -33,6 +33,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.renew != bool(arguments.why):
         raise InputError("check: --renew and --why TEXT go together: a baseline changes for a reason")
     suite = check.load(arguments.suite, gate(arguments.allow_code))
+    if not arguments.renew:
+        check.read_baseline(suite)  # a missing one is reported before anything flies
     progress = Progress(f"flying {suite.name}", unit="flights", hidden=arguments.json)
     found = check.fly(suite, workers=arguments.workers, progress=progress)
     Progress.clear()

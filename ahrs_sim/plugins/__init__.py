@@ -6,6 +6,7 @@ border          Guarded: what estimates from outside must be; a failure ends tha
 templates/      what `ahrs-sim new estimator` writes
 """
 
+import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -27,8 +28,9 @@ def create(
 
     Args:
         name: of the estimator, for events.
-        method: `lib:PATH`, or `package.module:Class`.
-        folder: of the file that names it: paths are relative to it, or to the current folder.
+        method: `lib:PATH`, `package.module:Class`, or `PATH.py:Class`.
+        folder: of the file that names it: paths are relative to it, or to the current folder, and modules are found
+            there when no installed package has their name.
         site: place and field.
         sensors: data sheet figures.
         settings: passed on.
@@ -42,7 +44,23 @@ def create(
 
         path = located(method.removeprefix(LIBRARY), folder)
         return Guarded(name, LibraryEstimator(path, site=site, sensors=sensors, **settings))
-    return Guarded(name, estimators.create(method, site=site, sensors=sensors, **settings))
+    module = _importable(method, folder)
+    return Guarded(name, estimators.create(module, site=site, sensors=sensors, **settings))
+
+
+def _importable(method: str, folder: Path) -> str:
+    """Return `module:Class` for a class in a file, or in a module that may lie beside the scenario.
+
+    The folders go to the end of the module path, behind everything that is installed, and stay there for what the
+    module imports later.
+    """
+    place, _, attribute = method.rpartition(":")
+    folders = [folder.resolve(), Path().resolve()]
+    if place.endswith(".py"):
+        path = located(place, folder).resolve()
+        folders, method = [path.parent], f"{path.stem}:{attribute}"
+    sys.path += [str(f) for f in folders if str(f) not in sys.path]
+    return method
 
 
 def located(path: str, folder: Path) -> Path:

@@ -172,7 +172,7 @@ def load(path: str | None = None, gate: scenarios.Gate = _FOREIGN) -> Suite:
         heading_degrees=limits.number("heading_degrees", 0.1, minimum=0.0),
     )
     limits.close()
-    estimators = {name: dict(t.data) for name, t in table.named_tables("estimator").items()}
+    estimators = {name: _placed(t.data, file.parent) for name, t in table.named_tables("estimator").items()}
     on = table.text("catalogue", None)
     if on:
         estimators |= {f"{method}-{on}": {"method": method, "suite": on} for method in _methods()}
@@ -187,6 +187,16 @@ def load(path: str | None = None, gate: scenarios.Gate = _FOREIGN) -> Suite:
     if twice := [n for n, count in Counter(names).items() if count > 1]:
         raise table.error("flight", f"'{twice[0]}' is there twice; give one of them another name")
     return suite
+
+
+def _placed(settings: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The settings of an estimator, with a library or file beside the suite named by its whole path."""
+    method = str(settings.get("method", ""))
+    kind, colon, place = ("lib", ":", method[4:]) if method.startswith("lib:") else ("", "", method)
+    path, rest = (place, "") if kind else (place.rpartition(":")[0], f":{place.rpartition(':')[2]}")
+    if path and (folder / path).is_file():
+        return {**settings, "method": f"{kind}{colon}{(folder / path).resolve()}{rest}"}
+    return dict(settings)
 
 
 def _methods() -> list[str]:
@@ -294,7 +304,12 @@ def _judged(values: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
 # ----------------------------------------------------------------------------------------------- baseline
 
 
-def _read_baseline(suite: Suite) -> dict[str, Any]:
+def read_baseline(suite: Suite) -> dict[str, Any]:
+    """Read the baseline of a suite.
+
+    Raises:
+        InputError: there is none yet, or it is damaged.
+    """
     try:
         baseline = json.loads(suite.baseline.read_text(encoding="utf-8"))
         if not isinstance(baseline["flights"], dict) or not isinstance(baseline["history"], list):
@@ -316,7 +331,7 @@ def renew(suite: Suite, found: Found, why: str) -> None:
     if found.errors:
         where, error = next(iter(found.errors.items()))
         raise CheckError(f"{suite.baseline}: not renewed: {where}: {error}")
-    history = _read_baseline(suite)["history"] if suite.baseline.exists() else []
+    history = read_baseline(suite)["history"] if suite.baseline.exists() else []
     now = datetime.datetime.now(datetime.UTC).date().isoformat()
     history.append({"date": now, "version": version("ahrs-sim"), "why": why})
     data = {
@@ -374,7 +389,7 @@ def judge(suite: Suite, found: Found) -> Result:
     Raises:
         InputError: there is no baseline, or it is damaged.
     """
-    kept = _read_baseline(suite)["flights"]
+    kept = read_baseline(suite)["flights"]
     rows: list[Row] = []
     for flight in suite.flights:
         old = kept.get(flight.name, {"seeds": [], "estimators": {}})

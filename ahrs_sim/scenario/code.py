@@ -14,6 +14,7 @@ shared library, a model of another tool) takes a name with a colon, `KIND:PLACE`
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from ahrs_sim.errors import InputError
@@ -84,4 +85,13 @@ class Gate:
 def _covers(allowed: str, method: str) -> bool:
     """Tell whether an allowed name is the method, its module or a package above it."""
     module = method.partition(":")[0]
-    return allowed in (*ANY, method, module) or module.startswith(f"{allowed}.")
+    return allowed in (*ANY, method, module) or module.startswith(f"{allowed}.") or _file(allowed) == _file(method)
+
+
+def _file(method: str) -> tuple[str, Path, str]:
+    """Kind, whole path and class of `lib:PATH` or `PATH.py:Class`, however the path is written."""
+    kind, _, place = method.partition(":")
+    if kind in ("lib", "fmu"):
+        return kind, Path(place).resolve(), ""
+    place, _, attribute = method.rpartition(":")
+    return ("py", Path(place).resolve(), attribute) if place.endswith(".py") else ("", Path(), method)

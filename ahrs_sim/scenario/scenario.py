@@ -186,8 +186,12 @@ def parse(
     data.setdefault("suite", copy.deepcopy(DEFAULT_SUITES))
     notes = _add_catalogue(data, where)
     data.setdefault("estimator", copy.deepcopy(DEFAULT_ESTIMATORS))
+    if "estimators" in data and isinstance(data["estimator"], dict):
+        own = Table(data, where).texts("estimators")
+        data["estimator"] = _selected(data["estimator"], own, f"{where}: estimators")
+        del data["estimators"]
     if estimators and isinstance(data["estimator"], dict):
-        data["estimator"] = _selected(data["estimator"], estimators, where)
+        data["estimator"] = _selected(data["estimator"], estimators, f"{where}: --estimator")
     table = Table(data, where)
     table.text("title", "")
     motion = table.table("motion") if table.has("motion") else None
@@ -288,8 +292,7 @@ def _selected(tables: dict[str, Any], names: Sequence[str], where: str) -> dict[
             chosen[f"{short_name(method)}-{suite}"] = {"method": method, "suite": suite}
         else:
             raise InputError(
-                f"{where}: --estimator {name}: no [estimator.{name}]{nearest(name, tables)} or METHOD@SUITE, "
-                "e.g. marg-ckf@chr"
+                f"{where}: {name}: no [estimator.{name}]{nearest(name, tables)} or METHOD@SUITE, e.g. marg-ckf@chr"
             )
     return chosen
 
@@ -297,9 +300,11 @@ def _selected(tables: dict[str, Any], names: Sequence[str], where: str) -> dict[
 def short_name(method: str) -> str:
     """A name for the estimator of a method: that of the file for a library or an FMU."""
     if method.startswith(("lib:", "fmu:")):
-        method = re.sub(r"[^A-Za-z0-9_-]", "-", Path(method.partition(":")[2]).stem).lstrip("-_0123456789")
-        return method or "plug-in"
-    return method.replace(":", "-").replace(".", "-")
+        method = Path(method.partition(":")[2]).stem
+    elif ".py:" in method:
+        path, _, name = method.rpartition(":")
+        method = f"{Path(path).stem}-{name}"
+    return re.sub(r"[^A-Za-z0-9_-]", "-", method).lstrip("-_0123456789") or "plug-in"
 
 
 def _start(table: Table) -> Start:

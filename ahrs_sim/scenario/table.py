@@ -186,6 +186,13 @@ class Table:
             raise self.error(key, f"{value!r} is not a list of {size} finite numbers")
         return np.array(value, dtype=float)
 
+    def texts(self, key: str, default: Any = _REQUIRED) -> list[str]:
+        """A list of strings."""
+        value = self._value(key, default, _key("texts", default))
+        if not isinstance(value, list) or not all(isinstance(x, str) for x in value):
+            raise self.error(key, f"{value!r} is not a list of texts")
+        return value
+
     def date(self, key: str, default: Any = _REQUIRED) -> datetime.datetime:
         """A date with time; without offset it is UTC."""
         value = self._value(key, default, _key("date", default))
@@ -245,7 +252,7 @@ def _fitting(asked: Key) -> Any:
         return middle if asked.form == "number" else int(middle)
     if asked.form == "vector":
         return [1.0] * asked.size
-    return {"flag": True, "text": "x", "date": datetime.datetime(2026, 6, 1, tzinfo=datetime.UTC)}.get(
+    return {"flag": True, "text": "x", "texts": [], "date": datetime.datetime(2026, 6, 1, tzinfo=datetime.UTC)}.get(
         asked.form, asked.choices[0] if asked.choices else "x"
     )
 

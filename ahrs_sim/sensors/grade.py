@@ -42,13 +42,19 @@ UNITS: dict[str, dict[str, float]] = {
     "pressure": {"pa": 1.0, "hpa": 100.0},
     "temperature": {"k": 1.0},
     "revolutions": {"rpm": 1.0},
-    "rate": {"dps": _DEG, "dph": _DEG / 3600.0},
-    "acceleration": {"mg": STANDARD_GRAVITY * 1e-3, "g": STANDARD_GRAVITY, "mps2": 1.0},
+    "rate": {"dps": _DEG, "mdps": 1e-3 * _DEG, "dph": _DEG / 3600.0, "radps": 1.0},
+    "acceleration": {"mg": STANDARD_GRAVITY * 1e-3, "ug": STANDARD_GRAVITY * 1e-6, "g": STANDARD_GRAVITY, "mps2": 1.0},
     "field": {"mgauss": 1e-7, "gauss": 1e-4, "ut": 1e-6, "nt": 1e-9},
     "number": {"": 1.0},
     "per_hour": {"per_h": 1.0 / 3600.0},
 }
 _PER = {"rthz": 1.0, "rts": 1.0, "per_k": 1.0, "per_g": 1.0 / STANDARD_GRAVITY, "per_g2": 1.0 / STANDARD_GRAVITY**2}
+
+_WALKS = {
+    ("rate", "rthz"): {"deg_rth": math.sqrt(2.0) * _DEG / 60.0},
+    ("acceleration", "rthz"): {"mps_rth": math.sqrt(2.0) / 60.0},
+}
+"""Random walks N of IEEE Std 952 as units of a density d: d = sqrt(2) N, as sigma^2 = N^2/tau = (d^2/2)/tau."""
 
 Layer = dict[str, dict[str, "Entry"]]
 FiguresT = TypeVar("FiguresT")
@@ -88,7 +94,8 @@ def _units(kind: str, quantity: str) -> dict[str, float]:
     if kind in UNITS:
         return UNITS[kind]
     base, _, per = kind.partition("_")
-    return {f"{u}_{per}": f * _PER[per] for u, f in UNITS[quantity if base == "*" else base].items()}
+    base = quantity if base == "*" else base
+    return {f"{u}_{per}": f * _PER[per] for u, f in UNITS[base].items()} | _WALKS.get((base, per), {})
 
 
 def _keys(section: Section) -> dict[str, tuple[str, float]]:
@@ -198,17 +205,28 @@ def names() -> list[str]:
     return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
 
 
+def _find(name: str, where: str) -> Path:
+    """The file of a grade: of a shipped one by its name, else a TOML file beside the one that names it, or here."""
+    if name in names():
+        return Path(str(resources.files("ahrs_sim.sensors") / "grades" / f"{name}.toml"))
+    if not name.endswith(".toml"):
+        raise InputError(f"{where}: grade: '{name}' is unknown{nearest(name, names())}; or a file: \"mine.toml\"")
+    for folder in (Path(where.partition(":")[0]).parent, Path()):
+        if (folder / name).is_file():
+            return folder / name
+    raise InputError(f"{where}: grade: {name}: no such file beside it or in the current folder")
+
+
 def _read(name: str, sections: Mapping[str, Section], where: str, chain: tuple[str, ...] = ()) -> tuple[str, Layer]:
     """Title and figures of a grade file, those it extends below."""
-    if name not in names():
-        raise InputError(f"{where}: grade: '{name}' is unknown{nearest(name, names())}")
-    if name in chain:
-        raise InputError(f"{where}: extends: {' -> '.join((*chain, name))} goes in a circle; remove one")
-    path = Path(str(resources.files("ahrs_sim.sensors") / "grades" / f"{name}.toml"))
+    path = _find(name, where)
+    if str(path) in chain:
+        raise InputError(f"{where}: extends: {' -> '.join((*chain, str(path)))} goes in a circle; remove one")
     table = read_toml(path)
     title, base = table.text("title"), table.text("extends", None)
-    own = parse(table.rest(), sections, path.name)
-    below = _read(base, sections, path.name, (*chain, name))[1] if base else {}
+    shown = path.name if name in names() else str(path)
+    own = parse(table.rest(), sections, shown)
+    below = _read(base, sections, shown, (*chain, str(path)))[1] if base else {}
     return title, _over(below, own)
 
 
