@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ahrs_sim.cli import (
+    aircraft,
     allan,
     budget,
     campaign,
@@ -25,7 +26,9 @@ from ahrs_sim.errors import AhrsSimError
 from estimators.errors import EstimationError
 
 # in the order of `ahrs-sim --help`
-_COMMANDS = (fly, replay, compare, info, export, recover, allan, check, campaign, budget, papers, new, listing, schema)
+_COMMANDS = (
+    fly, replay, compare, info, export, recover, allan, check, campaign, budget, papers, aircraft, new, listing, schema,
+)  # fmt: skip
 
 
 def main(argv: Sequence[str] | None = None) -> int:
