@@ -49,6 +49,19 @@ class Autopilot:
     them, so that a chain of steps does not drift.
     """
 
+    # what manoeuvres do where the scenario does not say
+    roll_rate_limit = 1.0  # rad/s
+    climb_limit = 3.0  # m/s
+    climb_speed = 2.5  # m/s, of the steps climb and descend
+    approach_speed = 17.0  # m/s
+    landing_speed = 16.0  # m/s
+    approach_distance = 450.0  # m before the runway
+    approach_glide = math.radians(5.0)
+    landing_glide = math.radians(4.0)
+    scale = 1.0  # of distances and heights near the runway
+    steering = 0.6  # 1/s, turn rate per error of the ground track
+    height_before = 12.0  # m, at which an approach ends
+
     def __init__(self, fdm: Fdm) -> None:
         self._fdm = fdm
         self._set: dict[str, Callable[[float], object]] = {}
@@ -95,10 +108,10 @@ class Autopilot:
         self.set("pitch-cmd-rad", angle)
         self.asked[1], self.asked[3], self.asked[4] = angle, math.nan, math.nan
 
-    def altitude(self, altitude: float, rate: float = 3.0) -> None:
+    def altitude(self, altitude: float, rate: float | None = None) -> None:
         """Go to an altitude (m above sea level) at `rate` (m/s) and hold it."""
         self.set("vertical-mode", 2)
-        self.set("climb-limit-mps", rate)
+        self.set("climb-limit-mps", self.climb_limit if rate is None else rate)
         self.set("altitude-cmd-m", altitude)
         self.asked[1], self.asked[3], self.asked[4] = math.nan, altitude, math.nan
 

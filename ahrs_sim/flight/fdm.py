@@ -44,28 +44,37 @@ class Fdm:
         self.exec.set_dt(dt)
         self.dt = dt
         self.sources: list[Path] = []
+        self._roots: dict[Path, str] = {}  # of what is neither ours nor JSBSim's: where its attachments go
         self._properties = self.exec.get_property_manager()
         self._access: dict[str, str] = {}
 
     def load_aircraft(self, name: str, where: str) -> None:
-        """Load the model `name` from our own aircraft or from JSBSim's library.
+        """Load a model: one of ours or of JSBSim's by its name, somebody's own by the path of its folder or XML file.
+
+        A relative path starts at the folder of the file `where`.
 
         Raises:
             InputError: there is no such aircraft, or JSBSim cannot read it.
         """
-        folder = aircraft()
-        if name not in folder:
-            raise InputError(f"{where}: aircraft: '{name}' is unknown{nearest(name, folder)}")
-        self.exec.set_aircraft_path(str(folder[name].parent))
+        path = _own_model(name, where)
+        if path is None:
+            known = aircraft()
+            if name not in known:
+                raise InputError(f"{where}: aircraft: '{name}' is unknown{nearest(name, known)}")
+            path = known[name] / f"{name}.xml"
+        else:
+            self._roots[path.parent] = f"aircraft/{path.parent.name}"
+        inside = path.parent.name == path.stem
+        self.exec.set_aircraft_path(str(path.parent.parent if inside else path.parent))
         try:
-            loaded = self.exec.load_model(name)
+            loaded = self.exec.load_model(path.stem, inside)
         except RuntimeError as error:
             self.log.text = str(error)
             loaded = False
         if not loaded:
             raise InputError(f"{where}: aircraft: JSBSim cannot load '{name}': {self.log.text or 'no reason given'}")
         self._mute()
-        self._collect(folder[name], f"{name}.xml")
+        self._collect(path.parent, path.name)
 
     def load_script(self, name: str, where: str) -> float | None:
         """Load a script of JSBSim's with its aircraft; its end time (s), None when it has none.
@@ -91,6 +100,23 @@ class Fdm:
         run = ET.parse(known[name]).getroot().find("run")
         end = run.get("end") if run is not None else None
         return float(end) if end else None
+
+    def begin(self) -> None:
+        """Put the aircraft where `ic/...` says; a property that only another simulator would provide is made, and is 0.
+
+        Raises:
+            RuntimeError: JSBSim gives up.
+        """
+        for _ in range(100):
+            try:
+                self.exec.run_ic()
+                return
+            except RuntimeError as error:
+                missing = re.search(r"The property (\S+) does not exist", str(error))
+                if missing is None:
+                    raise
+                self.exec.set_property_value(missing[1], 0.0)
+                self.exec.resume_integration()  # which `run_ic` had suspended
 
     def has(self, name: str) -> bool:
         """Whether the property exists."""
@@ -129,10 +155,11 @@ class Fdm:
     def attachments(self) -> dict[str, bytes]:
         """The XML files the flight was made from, by path: `aircraft/...`, `engine/...`, `scripts/...`."""
         files = {}
+        roots = {**self._roots, library_dir(): "", aircraft_dir().parent: ""}
         for path in self.sources:
-            for root in (library_dir(), aircraft_dir().parent):
+            for root, folder in roots.items():
                 if path.is_relative_to(root):
-                    files[path.relative_to(root).as_posix()] = path.read_bytes()
+                    files[(Path(folder) / path.relative_to(root)).as_posix()] = path.read_bytes()
                     break
         return files
 
@@ -176,6 +203,49 @@ class Fdm:
                 pending.extend(found[:1])
 
 
+def configure(fdm: Fdm, throttle: float, gear: float) -> None:
+    """Set what a pilot sets once: rich mixture, fine pitch, magnetos on, wheels up or down, everything else clean."""
+    for name in ("gear/gear-cmd-norm", "gear/gear-pos-norm"):
+        write(fdm, name, gear)
+    for i in range(engines(fdm)):
+        write(fdm, indexed("fcs/mixture-cmd-norm", i), 1.0)
+        write(fdm, indexed("fcs/advance-cmd-norm", i), 1.0)
+        write(fdm, indexed("fcs/throttle-cmd-norm", i), throttle)
+
+
+def start_engines(fdm: Fdm) -> None:
+    """Start every engine: fuel on, ignition on, starter pressed, and running at once where JSBSim can do that."""
+    for name, value in (("cutoff_cmd", 0.0), ("magneto_cmd", 3.0), ("starter_cmd", 1.0), ("set-running", -1.0)):
+        write(fdm, f"propulsion/{name}", value)
+
+
+def stop_engines(fdm: Fdm) -> None:
+    """Switch every engine off."""
+    for name, value in (("starter_cmd", 0.0), ("magneto_cmd", 0.0), ("cutoff_cmd", 1.0)):
+        write(fdm, f"propulsion/{name}", value)
+    for i in range(engines(fdm)):
+        write(fdm, indexed("propulsion/engine", i) + "/set-running", 0.0)
+
+
+def indexed(name: str, i: int) -> str:
+    """JSBSim's name of the i-th of several properties."""
+    return f"{name}[{i}]" if i else name
+
+
+def engines(fdm: Fdm) -> int:
+    """How many engines there are."""
+    number = 0
+    while fdm.has(indexed("propulsion/engine", number) + "/set-running"):
+        number += 1
+    return number
+
+
+def write(fdm: Fdm, name: str, value: float) -> None:
+    """Set a property where there is one."""
+    if fdm.has(name):
+        fdm[name] = value
+
+
 def library_dir() -> Path:
     """The folder of the aircraft, engines, systems and scripts that come with JSBSim."""
     return Path(jsbsim.get_default_root_dir())
@@ -189,6 +259,29 @@ def aircraft() -> dict[str, Path]:
             if (folder / f"{folder.name}.xml").is_file():
                 found.setdefault(folder.name, folder)
     return found
+
+
+def _own_model(name: str, where: str) -> Path | None:
+    """The XML file of an aircraft given as a path; None: it is a name."""
+    if not ("/" in name or os.sep in name or name.endswith(".xml")):
+        return None
+    path = (Path(where).parent / Path(name).expanduser()).resolve()
+    if path.is_file():
+        return path
+    if not path.is_dir():
+        raise InputError(f"{where}: aircraft: '{name}': there is no file or folder {path}")
+    models = sorted(path.glob("*.xml"))
+    named = [x for x in models if x.stem == path.name] or [x for x in models if _is_model(x)]
+    if len(named) != 1:
+        found = ", ".join(x.name for x in named) or "none"
+        raise InputError(
+            f"{where}: aircraft: '{name}' should hold one JSBSim model, it holds {found}; name the XML file"
+        )
+    return named[0]
+
+
+def _is_model(path: Path) -> bool:
+    return "<fdm_config" in path.read_text(encoding="utf-8", errors="replace")
 
 
 def scripts() -> dict[str, Path]:

@@ -11,7 +11,7 @@ After `run()` state, forces and accelerations belong to the same instant.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -32,12 +32,14 @@ from ahrs_sim.flight.columns import (
     WIND,
     Column,
 )
-from ahrs_sim.flight.fdm import Fdm
-from ahrs_sim.flight.manoeuvres import parse_steps
-from ahrs_sim.flight.pilot import Pilot
+from ahrs_sim.flight.design import Design, design
+from ahrs_sim.flight.fdm import Fdm, configure
+from ahrs_sim.flight.laws import RATE
+from ahrs_sim.flight.manoeuvres import Manoeuvre, parse_steps
+from ahrs_sim.flight.pilot import Pilot, own_autopilot
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
 from ahrs_sim.flight.turbulence import RoughAir
-from ahrs_sim.scenario import Gust, Scenario, seeds
+from ahrs_sim.scenario import Gust, Scenario, Start, seeds
 from ahrs_sim.world import wgs84
 
 EULER, ADAMS_BASHFORTH_2, BUSS_2 = 1, 3, 7  # JSBSim's integrators
@@ -78,9 +80,11 @@ class JsbsimFlight:
                 end = min(end, script_end)
         else:
             fdm.load_aircraft(scenario.aircraft, scenario.where)
+        self._design = self._known(scenario, steps)
         self._rows = math.inf if end == math.inf else math.floor(end * scenario.rate + 1e-6) + 1
         fdm["simulation/randomseed"] = seeds.integer(scenario.seed, "flight")
         self._every = max(1, round(scenario.rate / PILOT_RATE))
+        self._airspeed = self._start_speed(scenario)
         if self._scripted:
             fdm.exec.run_ic()
         else:
@@ -94,7 +98,8 @@ class JsbsimFlight:
         self._gusts = list(scenario.wind.gusts)
         self._get = [_reader(fdm, column) for column in Column]
         self._contacts = _contacts(fdm)
-        self._pilot = Pilot(fdm, steps, scenario.start.altitude, scenario.start.heading, self.dt * self._every)
+        self._pilot = Pilot(fdm, steps, scenario.start, self.dt * self._every, self._design)
+        self._control_every = max(1, round(scenario.rate / RATE)) if self._design else 0
         if scenario.pilot_attitude != "truth" and self._pilot.autopilot is None:
             model = fdm.exec.get_model_name()
             raise InputError(f"{scenario.where}: [pilot]: attitude: '{model}' has not our autopilot; leave it out")
@@ -136,6 +141,8 @@ class JsbsimFlight:
                 while k < stop:
                     if air is not None:
                         air.step()
+                    if self._control_every and (self._next + k - first - 1) % self._control_every == 0:
+                        self._control()
                     if not run():
                         self._finish(None)
                         break
@@ -162,17 +169,32 @@ class JsbsimFlight:
         self._pilot.feedback(q_nb, rate_b)
 
     def attachments(self) -> dict[str, bytes]:
-        """The XML files of aircraft and script."""
-        return self._fdm.attachments()
+        """The XML files of aircraft and script, and what was found of an aircraft that has no autopilot of its own."""
+        found = {"design.json": self._design.text().encode()} if self._design else {}
+        return {**self._fdm.attachments(), **found}
 
     # -- set-up
+
+    def _known(self, scenario: Scenario, steps: Sequence[Manoeuvre]) -> Design | None:
+        """What is known of an aircraft that has no autopilot of its own, where one is needed."""
+        needed = scenario.pilot_attitude != "truth" or any(step.needs_autopilot for step in steps)
+        if self._scripted or not needed or own_autopilot(self._fdm):
+            return None
+        return design(scenario.aircraft, scenario.where)
+
+    def _start_speed(self, scenario: Scenario) -> float:
+        """Calibrated airspeed at the start, m/s: an aircraft that is not ours cruises where nobody says."""
+        start = scenario.start
+        if self._design is None or "airspeed_mps" in scenario.data.get("start", {}) or start.on_ground:
+            return start.airspeed
+        return self._design.cruise
 
     def _start(self, scenario: Scenario) -> None:
         fdm, start = self._fdm, scenario.start
         latitude, longitude = start.latitude, start.longitude
         if self._settles(scenario):  # fly in from behind, to be at the start when it begins
-            speed_n = start.airspeed * math.cos(start.heading) - scenario.wind.speed * math.cos(scenario.wind.from_)
-            speed_e = start.airspeed * math.sin(start.heading) - scenario.wind.speed * math.sin(scenario.wind.from_)
+            speed_n = self._airspeed * math.cos(start.heading) - scenario.wind.speed * math.cos(scenario.wind.from_)
+            speed_e = self._airspeed * math.sin(start.heading) - scenario.wind.speed * math.sin(scenario.wind.from_)
             meridian, prime = wgs84.radii(np.array(latitude))
             latitude -= speed_n * SETTLE_AIR / float(meridian)
             longitude -= speed_e * SETTLE_AIR / (float(prime) * math.cos(latitude))
@@ -180,21 +202,43 @@ class JsbsimFlight:
         fdm["ic/lat-geod-rad"] = latitude
         fdm["ic/long-gc-rad"] = longitude
         fdm["ic/psi-true-rad"] = start.heading
+        if self._design is not None:
+            configure(fdm, 0.0, float(start.on_ground))
         if start.on_ground:
             fdm["ic/h-agl-ft"] = 10.0
-            fdm.exec.run_ic()  # now the centre of gravity is known
+            fdm.begin()  # now the centre of gravity is known
             wheels = [fdm[f"{unit}/z-position"] for unit in _units(fdm, "gear/unit") or _units(fdm, "contact/unit")]
             above = fdm["inertia/cg-z-in"] - min(wheels, default=0.0)
             fdm["ic/h-agl-ft"] = above * INCH / FT
             fdm["ic/vt-fps"] = 0.0
         else:
             fdm["ic/h-agl-ft"] = start.height / FT
-            fdm["ic/vt-fps"] = start.airspeed / FT
+            fdm["ic/vt-fps"] = self._airspeed / FT
             fdm["ic/phi-rad"] = start.roll
             fdm["ic/theta-rad"] = start.pitch
-        fdm.exec.run_ic()
-        if not start.on_ground and not fdm.has("ap/motor-on") and fdm.has("propulsion/set-running"):
+            if self._design is not None:
+                self._fly_in(start)
+        fdm.begin()
+        if (
+            not start.on_ground
+            and not fdm.has("ap/motor-on")
+            and self._design is None
+            and fdm.has("propulsion/set-running")
+        ):
             fdm["propulsion/set-running"] = -1  # piston and jet engines of the library
+
+    def _fly_in(self, start: Start) -> None:
+        """Begin in the trim of the airspeed."""
+        assert self._design is not None
+        self._fdm["ic/vc-kts"] = self._airspeed / 0.514444
+        self._fdm["ic/theta-rad"] = start.pitch + self._design.at(self._airspeed, lambda row: row.theta)
+        self._fdm["ic/alpha-rad"] = self._design.at(self._airspeed, lambda row: row.alpha)
+        self._fdm["ic/phi-rad"] = start.roll
+
+    def _control(self) -> None:
+        """Let the autopilot of an aircraft that has none of its own move the controls."""
+        assert self._pilot.designed is not None
+        self._pilot.designed.run(self.dt * self._control_every)
 
     def _wind(self, scenario: Scenario) -> None:
         fdm, wind = self._fdm, scenario.wind
@@ -207,7 +251,8 @@ class JsbsimFlight:
     def _settles(self, scenario: Scenario) -> bool:
         """In the air and wings level under our autopilot: fly a few seconds before the flight begins."""
         start = scenario.start
-        return not start.on_ground and self._fdm.has("ap/motor-on") and start.roll == start.pitch == 0.0
+        flown = self._fdm.has("ap/motor-on") or self._design is not None
+        return not start.on_ground and flown and start.roll == start.pitch == 0.0
 
     def _settle(self, scenario: Scenario) -> None:
         """Let the transient of the start pass before row 0."""
@@ -218,13 +263,15 @@ class JsbsimFlight:
             self._pilot.park()
             seconds = SETTLE_GROUND
         else:
-            self._pilot.hold(start.altitude + start.height, start.airspeed, start.heading)
+            self._pilot.hold(start.altitude + start.height, self._airspeed, start.heading)
             seconds = SETTLE_AIR if self._settles(scenario) else 0.0
         for k in range(round(seconds / self.dt)):
             if self._air is not None:
                 if k % self._every == 0:
                     self._look_ahead([g() for g in self._get])
                 self._air.step()
+            if self._control_every and k % self._control_every == 0:
+                self._control()
             self._fdm.exec.run()
 
     # -- in flight

@@ -9,13 +9,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ahrs_sim.errors import InputError
 from ahrs_sim.flight.autopilot import Autopilot, State, wrap
 from ahrs_sim.flight.columns import FT, Column
+from ahrs_sim.flight.design import Design
+from ahrs_sim.flight.envelope import check
 from ahrs_sim.flight.fdm import Fdm
+from ahrs_sim.flight.laws import Body, DesignedAutopilot
 from ahrs_sim.flight.manoeuvres import Failure, HandOver, Manoeuvre
 from ahrs_sim.flight.truth import Event, Setpoints
+from ahrs_sim.scenario import Start
 from ahrs_sim.world import wgs84
+
+
+def own_autopilot(fdm: Fdm) -> bool:
+    """Whether the aircraft's XML holds an autopilot with our set-points."""
+    return fdm.has("ap/lateral-mode") and fdm.has("ap/in/phi-rad")
 
 
 class Pilot:
@@ -24,47 +32,50 @@ class Pilot:
     Args:
         fdm: the aircraft, ready to fly.
         steps: manoeuvres in order; none: nobody touches the controls (a script does).
-        altitude: m above sea level of the ground at the start.
-        heading: rad, at the start: the runway's.
+        start: where the flight begins: ground and heading are the runway's.
         dt: s between ticks.
+        design: of an aircraft that has no autopilot of its own; None: it has, or nobody flies it.
 
     Raises:
-        InputError: a step needs our autopilot, which this aircraft has not, or names an unknown property.
+        InputError: a step asks for what the aircraft cannot do, or names an unknown property.
     """
 
-    def __init__(self, fdm: Fdm, steps: Sequence[Manoeuvre], altitude: float, heading: float, dt: float) -> None:
+    def __init__(
+        self, fdm: Fdm, steps: Sequence[Manoeuvre], start: Start, dt: float, design: Design | None = None
+    ) -> None:
         self._steps = list(steps)
         self._dt = dt
-        self._ground = altitude
+        self._ground = start.altitude
         self._external = False
         self.error: str | None = None
-        self.autopilot = Autopilot(fdm) if fdm.has("ap/lateral-mode") and fdm.has("ap/in/phi-rad") else None
+        self.designed: DesignedAutopilot | None = None
+        self.autopilot: Autopilot | None = None
+        if design is not None:
+            self.autopilot = self.designed = DesignedAutopilot(fdm, design, start.altitude)
+        elif own_autopilot(fdm):
+            self.autopilot = Autopilot(fdm)
         for step in self._steps:
             step.bind(fdm)
-            if step.needs_autopilot and self.autopilot is None:
-                raise InputError(
-                    f"{step.where}: do: '{step.name}' needs the autopilot of our own aircraft, which "
-                    f"'{fdm.exec.get_model_name()}' has not; use wait, set, or a script"
-                )
         if self.autopilot is not None:
             self.autopilot.handed_over = not any(isinstance(step, HandOver) for step in self._steps)
-        own = self.autopilot is not None
+            check(self._steps, design)
         euler = ("phi-rad", "theta-rad", "psi-rad")
         rates = ("p-rad_sec", "q-rad_sec", "r-rad_sec")
-        self._get = [fdm.getter(f"ap/in/{x}" if own else f"attitude/{x}") for x in euler]
-        self._get += [fdm.getter(f"ap/in/{x}" if own else f"velocities/{x}") for x in rates]
-        if own:
-            names = [f"ap/out/{x}-norm" for x in ("aileron", "elevator", "rudder", "throttle")]
-            self._signs = (1.0, 1.0, 1.0, 1.0)
-        else:  # JSBSim's own commands: elevator and rudder are positive down and left
-            names = [f"fcs/{x}-cmd-norm" for x in ("aileron", "elevator", "rudder", "throttle")]
-            self._signs = (1.0, -1.0, -1.0, 1.0)
-        self._surfaces = [fdm.getter(name) if fdm.has(name) else lambda: math.nan for name in names]
-        if own:
+        surfaces = ("aileron", "elevator", "rudder", "throttle")
+        if self.autopilot is not None and self.designed is None:
+            self._get = [fdm.getter(f"ap/in/{x}") for x in euler + rates]
+            names = [f"ap/out/{x}-norm" for x in surfaces]
             self._ext = [fdm.setter(f"ap/ext/{x}") for x in euler + rates]
+            self._signs = (1.0, 1.0, 1.0, 1.0)
+        else:
+            self._get = [fdm.getter(f"attitude/{x}") for x in euler] + [fdm.getter(f"velocities/{x}") for x in rates]
+            names = [f"fcs/{x}-cmd-norm" for x in surfaces]
+            up, right, yaw = self.designed.signs if self.designed else (-1.0, 1.0, -1.0)  # JSBSim's: down, right, left
+            self._signs = (right, up, yaw, 1.0)
+        self._surfaces = [fdm.getter(name) if fdm.has(name) else lambda: math.nan for name in names]
         self.state = State()
         self.state.turned = self.state.rolled = self.state.pitched = 0.0
-        self.state.home_heading = heading
+        self.state.home_heading = start.heading
         self._origin: tuple[float, float, float, float] | None = None  # latitude, longitude, m per rad of each
         self._number = -1  # of the current step
         self._began = 0.0
@@ -95,12 +106,15 @@ class Pilot:
         p, q, r = (float(x) for x in rate_b)
         if self.autopilot is None or not self.autopilot.handed_over or not math.isfinite(a + b + c + d + p + q + r):
             return
-        if not self._external:
-            self.autopilot.set("external", 1)
-            self._external = True
         roll = math.atan2(2.0 * (a * b + c * d), 1.0 - 2.0 * (b * b + c * c))
         pitch = math.asin(max(-1.0, min(1.0, 2.0 * (a * c - b * d))))
         heading = math.atan2(2.0 * (a * d + b * c), 1.0 - 2.0 * (c * c + d * d))
+        if self.designed is not None:
+            self.designed.estimate = Body(roll, pitch, heading, p, q, r)
+            return
+        if not self._external:
+            self.autopilot.set("external", 1)
+            self._external = True
         for put, value in zip(self._ext, (roll, pitch, heading, p, q, r), strict=True):
             put(value)
 
@@ -170,6 +184,10 @@ class Pilot:
             raise Failure("the aircraft is on the ground; take off first")
         step.begin(self.autopilot, self.state)  # type: ignore[arg-type]
 
+    def _body(self) -> Sequence[float]:
+        """Attitude and rates that the aircraft is flown on."""
+        return self.designed.inputs() if self.designed else [get() for get in self._get]
+
     def _label(self) -> str:
         return f"step {self._number + 1} ({self._steps[self._number].name})"
 
@@ -179,7 +197,7 @@ class Pilot:
         if self._origin is None:
             meridian, prime = wgs84.radii(np.array(latitude))
             self._origin = (latitude, longitude, float(meridian), float(prime) * math.cos(latitude))
-            state.heading = self._get[2]()
+            state.heading = self._body()[2]
         lat, lon, per_lat, per_lon = self._origin
         state.t = t
         state.north = (latitude - lat) * per_lat
@@ -192,7 +210,7 @@ class Pilot:
         state.airspeed = row[Column.AIRSPEED] * FT
         state.on_ground = row[Column.WHEELS] > 0.0
         before = state.heading
-        state.roll, state.pitch, state.heading, p, state.q, _ = (get() for get in self._get)
+        state.roll, state.pitch, state.heading, p, state.q, _ = self._body()
         state.turned += wrap(state.heading - before)
         state.rolled += p * self._dt
         state.pitched += state.q * self._dt

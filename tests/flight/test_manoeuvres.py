@@ -242,8 +242,9 @@ def test_set_writes_a_property():
         (make(aircraft="trianer", step=[{"do": "land"}]), "did you mean 'trainer'"),
         (make(script="c1732"), "did you mean"),
         (make(script="c1723", aircraft="trainer"), "flies 'c172x'"),
-        (make(aircraft="c172p", step=[{"do": "turn"}]), "needs the autopilot"),
-        (make(aircraft="c172p", step=[{"do": "wait", "for_s": 1.0, "motor": True}]), "needs the autopilot"),
+        (make(aircraft="weather-balloon", step=[{"do": "turn"}]), "cannot be flown by the autopilot"),
+        (airborne({"do": "straight", "airspeed_mps": 70.0}), "flies 0 to 60 m/s, not 70"),
+        (airborne({"do": "windup_turn", "bank_deg": 78.0}), "up to 75 deg"),
         (
             airborne(
                 {"do": "straight"},

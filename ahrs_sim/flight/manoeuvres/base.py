@@ -19,12 +19,17 @@ def clamp(value: float, limit: float) -> float:
     return max(-limit, min(limit, value))
 
 
-def bank_for(state: State, course: float, turn_rate: float = 0.0, limit: float = math.radians(30.0)) -> float:
+FASTEST = 400.0  # m/s, that a step may ask for; the aircraft's own limits are known when it is there
+
+
+def bank_for(
+    ap: Autopilot, state: State, course: float, turn_rate: float = 0.0, limit: float = math.radians(30.0)
+) -> float:
     """Bank angle that brings the ground track to `course`, on top of a turn at `turn_rate` (rad/s) along a curve.
 
     Working on the ground track and not on the heading takes care of the wind.
     """
-    rate = turn_rate + 0.6 * wrap(course - state.course)
+    rate = turn_rate + ap.steering * wrap(course - state.course)
     return clamp(math.atan(state.ground_speed * rate / G), limit)
 
 
@@ -39,6 +44,7 @@ class Manoeuvre:
     name: ClassVar[str]
     needs_autopilot: ClassVar[bool] = True
     in_flight: ClassVar[bool] = True
+    steady: ClassVar[bool] = True  # what bank it needs it needs for long: the thrust has to hold it
 
     def __init__(self, table: Table) -> None:
         """Read the parameters.
@@ -47,8 +53,9 @@ class Manoeuvre:
             InputError: a key is missing, unknown or out of range.
         """
         self.where = table.where
-        self.new_airspeed = optional(table, "airspeed_mps", above=0.0, maximum=60.0) if self.in_flight else None
+        self.new_airspeed = optional(table, "airspeed_mps", above=0.0, maximum=FASTEST) if self.in_flight else None
         self.read(table)
+        self.patient = not table.has("timeout_s")  # a bigger aircraft may take longer
         self.timeout = table.number("timeout_s", 3.0 * self.expected() + 30.0, above=0.0)
         table.close()
 
@@ -61,6 +68,10 @@ class Manoeuvre:
 
     def bind(self, fdm: Fdm) -> None:
         """Look up what is needed of the aircraft."""
+
+    def steepest(self, airspeed: float) -> float:
+        """Bank angle that it needs at an airspeed, rad."""
+        return 0.0
 
     def begin(self, ap: Autopilot, state: State) -> None:
         """Called once, before the first `step`."""

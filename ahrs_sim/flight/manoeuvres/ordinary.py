@@ -9,8 +9,6 @@ from ahrs_sim.flight.fdm import Fdm
 from ahrs_sim.flight.manoeuvres.base import Failure, G, Manoeuvre, bank_for, optional
 from ahrs_sim.scenario.table import Table
 
-ROLL_RATE = 1.0  # rad/s, with which the autopilot rolls into and out of a turn
-
 
 class Wait(Manoeuvre):
     """Leave everything as it is for `for_s`; on the ground `motor` switches the motor on (idling) or off."""
@@ -80,28 +78,29 @@ class Set(Manoeuvre):
 
 
 class Climb(Manoeuvre):
-    """Climb straight ahead to `to_height_m` at `rate_mps`."""
+    """Climb straight ahead to `to_height_m` at `rate_mps` (2.5; any other aircraft than ours: its own)."""
 
     name = "climb"
     sign = 1.0
 
     def read(self, table: Table) -> None:
         self.height = table.number("to_height_m", above=0.0)
-        self.rate = table.number("rate_mps", 2.5, above=0.0, maximum=20.0)
+        self.given = optional(table, "rate_mps", above=0.0, maximum=150.0)
 
     def expected(self) -> float:
-        return 40.0 / self.rate
+        return 40.0 / (self.given or Autopilot.climb_speed)
 
     def begin(self, ap: Autopilot, state: State) -> None:
         way = self.sign * (self.height - state.height)
         if way < -5.0:
             other = "descend" if self.sign > 0.0 else "climb"
             raise Failure(f"to_height_m is {self.height:g}, but the aircraft is at {state.height:.0f} m; use {other}")
-        self.timeout = max(self.timeout, 20.0 + 3.0 * way / self.rate)
+        rate = self.given or ap.climb_speed
+        self.timeout = max(self.timeout, 20.0 + 3.0 * way / rate)
         self.take_airspeed(ap)
         ap.altitude_goal = state.altitude - state.height + self.height
         ap.cruise()
-        ap.altitude(ap.altitude_goal, self.rate)
+        ap.altitude(ap.altitude_goal, rate)
 
     def step(self, ap: Autopilot, state: State) -> bool:
         return self.sign * (self.height - state.height) < 1.0
@@ -111,7 +110,7 @@ class Climb(Manoeuvre):
 
 
 class Descend(Climb):
-    """Descend straight ahead to `to_height_m` at `rate_mps`."""
+    """Descend straight ahead to `to_height_m` at `rate_mps` (as `climb`)."""
 
     name = "descend"
     sign = -1.0
@@ -182,6 +181,9 @@ class Turn(Manoeuvre):
         rate = G * math.tan(self.bank) / 20.0 if self.rate is None else self.rate
         return (self.through or 0.0) / rate + 2.0
 
+    def steepest(self, airspeed: float) -> float:
+        return self.bank if self.rate is None else math.atan(airspeed * self.rate / G)
+
     def begin(self, ap: Autopilot, state: State) -> None:
         self.take_airspeed(ap)
         ap.level()
@@ -198,7 +200,9 @@ class Turn(Manoeuvre):
         else:
             assert self.through is not None
             # begin to roll out so early that half the roll-out's turn is left
-            lead = G * math.tan(abs(state.roll)) / max(state.airspeed, 10.0) * 0.5 * abs(state.roll) / ROLL_RATE
+            lead = (
+                G * math.tan(abs(state.roll)) / max(state.airspeed, 10.0) * 0.5 * abs(state.roll) / ap.roll_rate_limit
+            )
             done = self.sign * self.turned(state) >= self.through - lead
             if done:
                 ap.heading_goal = self.from_heading + self.sign * self.through
@@ -235,6 +239,9 @@ class FigureEight(Manoeuvre):
 
     def expected(self) -> float:
         return sum(turn.expected() for turn in self.turns)
+
+    def steepest(self, airspeed: float) -> float:
+        return self.turns[0].bank
 
     def begin(self, ap: Autopilot, state: State) -> None:
         self.take_airspeed(ap)
@@ -281,6 +288,9 @@ class Orbit(Manoeuvre):
     def expected(self) -> float:
         return self.through * self.radius / 20.0 + 10.0
 
+    def steepest(self, airspeed: float) -> float:
+        return math.atan(airspeed**2 / (self.radius * G))
+
     def begin(self, ap: Autopilot, state: State) -> None:
         self.take_airspeed(ap)
         ap.level()
@@ -297,7 +307,7 @@ class Orbit(Manoeuvre):
         off = distance - self.radius
         tangent = bearing + self.sign * (0.5 * math.pi + math.atan(off / (0.35 * self.radius)))
         along = self.sign * state.ground_speed / self.radius if abs(off) < 0.5 * self.radius else 0.0
-        ap.roll(bank_for(state, tangent, along, math.radians(45.0)))
+        ap.roll(bank_for(ap, state, tangent, along, math.radians(45.0)))
         if self.bearing is not None:
             self.swept += self.sign * wrap(bearing - self.bearing)
         if self.bearing is not None or abs(off) < 0.1 * self.radius + 2.0:

@@ -5,19 +5,20 @@
 import math
 
 from ahrs_sim.flight.autopilot import Autopilot, State, wrap
-from ahrs_sim.flight.manoeuvres.base import Failure, G, Manoeuvre, bank_for, clamp, optional
+from ahrs_sim.flight.manoeuvres.base import FASTEST, Failure, G, Manoeuvre, bank_for, clamp, optional
 from ahrs_sim.scenario.table import Table
 
 
 class Takeoff(Manoeuvre):
-    """Take off along the heading at the start and climb straight ahead to `to_height_m`."""
+    """Take off along the heading at the start and climb straight ahead to `to_height_m` (30; others: by their speed)."""
 
     name = "takeoff"
     in_flight = False
 
     def read(self, table: Table) -> None:
-        self.height = table.number("to_height_m", 30.0, minimum=10.0)
-        self.new_airspeed = optional(table, "airspeed_mps", above=0.0, maximum=60.0)
+        self.given = optional(table, "to_height_m", minimum=10.0)
+        self.height = self.given or 30.0
+        self.new_airspeed = optional(table, "airspeed_mps", above=0.0, maximum=FASTEST)
 
     def expected(self) -> float:
         return 10.0 + self.height / 4.0
@@ -26,6 +27,7 @@ class Takeoff(Manoeuvre):
         if not state.on_ground:
             raise Failure("the aircraft is in the air already; leave this step out")
         self.take_airspeed(ap)
+        self.height = self.given or 30.0 * ap.scale
         self.started = state.t
         ap.set("motor-on", 1)
         ap.heading_goal = state.home_heading
@@ -47,24 +49,30 @@ class Approach(Manoeuvre):
     """Fly back to the runway of the start, line up, and come down the glide path until `to_height_m` (12).
 
     `distance_m` (450) before the start the aircraft joins the runway's line at the height of a glide path of
-    `glide_deg` (5) that ends at the start; not lined up at the end, it goes round again.
+    `glide_deg` (5) that ends at the start; not lined up at the end, it goes round again. The figures in brackets are
+    our trainer's; any other aircraft has its own, from its stall.
     """
 
     name = "approach"
 
     def read(self, table: Table) -> None:
-        self.distance = table.number("distance_m", 450.0, minimum=200.0, maximum=5000.0)
-        self.glide = math.radians(table.number("glide_deg", 5.0, above=0.0, maximum=15.0))
-        self.height = table.number("to_height_m", 12.0, minimum=5.0)
+        self.given_distance = optional(table, "distance_m", minimum=200.0, maximum=50000.0)
+        glide = optional(table, "glide_deg", above=0.0, maximum=15.0)
+        self.given_glide = None if glide is None else math.radians(glide)
+        self.given_height = optional(table, "to_height_m", minimum=5.0)
         self.bank = math.radians(table.number("bank_deg", 30.0, minimum=10.0, maximum=60.0))
-        self.speed = 17.0 if self.new_airspeed is None else self.new_airspeed
 
     def expected(self) -> float:
-        return 60.0 + self.distance / 14.0
+        return 60.0 + (self.given_distance or Autopilot.approach_distance) / 14.0
 
     def begin(self, ap: Autopilot, state: State) -> None:
+        self.distance = self.given_distance or ap.approach_distance
+        self.glide = self.given_glide or ap.approach_glide
+        self.height = self.given_height or ap.height_before
+        self.speed = self.new_airspeed or ap.approach_speed
         # the way back counts for the time-out
-        self.timeout = max(self.timeout, 120.0 + (math.hypot(state.north, state.east) + 2.0 * self.distance) / 4.0)
+        away = math.hypot(state.north, state.east) + 2.0 * self.distance
+        self.timeout = max(self.timeout, 120.0 + away / (4.0 * ap.scale))
         self.rounds = 0
         self.join(ap, state)
 
@@ -79,20 +87,24 @@ class Approach(Manoeuvre):
         along, cross = runway(state)
         if not self.lined_up:
             before = along + self.distance  # > 0: past the point of joining
-            if before < 60.0 and abs(cross) < 60.0 and abs(wrap(state.course - state.home_heading)) < 0.5 * math.pi:
+            if (
+                before < 60.0 * ap.scale
+                and abs(cross) < 60.0 * ap.scale
+                and abs(wrap(state.course - state.home_heading)) < 0.5 * math.pi
+            ):
                 self.lined_up = True
-            ap.roll(bank_for(state, self.course_to_join(state, along, cross), limit=self.bank))
+            ap.roll(bank_for(ap, state, self.course_to_join(ap, state, along, cross), limit=self.bank))
             return False
-        ap.roll(bank_for(state, runway_course(state, cross), limit=self.bank))
+        ap.roll(bank_for(ap, state, runway_course(ap, state, cross), limit=self.bank))
         path = -along * math.tan(self.glide)
         if path > state.height and along < -0.8 * self.distance:
             return False  # level until the glide path comes down to meet the aircraft
         rate = -state.ground_speed * math.tan(self.glide) + 0.4 * (path - state.height)
-        ap.climb_rate(clamp(rate, 3.5))
+        ap.climb_rate(clamp(rate, 3.5 * ap.scale))
         if state.height > self.height and along < 0.0:
             return False
         off = wrap(state.course - state.home_heading)
-        if abs(cross) < 4.0 and abs(off) < math.radians(10.0) and abs(path - state.height) < 6.0:
+        if abs(cross) < 4.0 * ap.scale and abs(off) < math.radians(10.0) and abs(path - state.height) < 6.0 * ap.scale:
             return True
         self.rounds += 1
         if self.rounds > 2:
@@ -100,7 +112,7 @@ class Approach(Manoeuvre):
         self.join(ap, state)
         return False
 
-    def course_to_join(self, state: State, along: float, cross: float) -> float:
+    def course_to_join(self, ap: Autopilot, state: State, along: float, cross: float) -> float:
         """Course to a point ahead of the joining point, so far that the last turn ends on the runway's line."""
         radius = state.ground_speed**2 / (G * math.tan(self.bank))
         back = self.distance + 2.5 * radius
@@ -108,7 +120,7 @@ class Approach(Manoeuvre):
         if along > -back and not (abs(cross) < 0.5 * radius and along < -self.distance):
             target_along, target_cross = -back, side  # downwind, beside the line
         else:
-            return runway_course(state, cross)
+            return runway_course(ap, state, cross)
         return state.home_heading + math.atan2(target_cross - cross, target_along - along)
 
     def progress(self, state: State) -> str:
@@ -122,9 +134,9 @@ class Land(Manoeuvre):
     name = "land"
 
     def read(self, table: Table) -> None:
-        self.glide = math.radians(table.number("glide_deg", 4.0, above=0.0, maximum=15.0))
-        self.flare = optional(table, "flare_height_m", above=0.0, maximum=20.0)
-        self.speed = 16.0 if self.new_airspeed is None else self.new_airspeed
+        glide = optional(table, "glide_deg", above=0.0, maximum=15.0)
+        self.given_glide = None if glide is None else math.radians(glide)
+        self.flare = optional(table, "flare_height_m", above=0.0, maximum=50.0)
 
     def expected(self) -> float:
         return 25.0
@@ -132,14 +144,14 @@ class Land(Manoeuvre):
     def begin(self, ap: Autopilot, state: State) -> None:
         if self.flare is not None:
             ap.set("flare-height-m", self.flare)
-        ap.set("glide-angle-rad", self.glide)
-        ap.airspeed(self.speed)
+        ap.set("glide-angle-rad", self.given_glide or ap.landing_glide)
+        ap.airspeed(self.new_airspeed or ap.landing_speed)
         ap.set("phase", 2)
         self.down: float | None = None  # since when it has stood still
 
     def step(self, ap: Autopilot, state: State) -> bool:
         _, cross = runway(state)
-        ap.roll(bank_for(state, runway_course(state, cross), limit=math.radians(15.0)))
+        ap.roll(bank_for(ap, state, runway_course(ap, state, cross), limit=math.radians(15.0)))
         ap.set("heading-cmd-rad", state.home_heading)
         if not state.on_ground or state.ground_speed > 0.3:
             self.down = None
@@ -162,6 +174,6 @@ def runway(state: State) -> tuple[float, float]:
     return state.north * cos + state.east * sin, state.east * cos - state.north * sin
 
 
-def runway_course(state: State, cross: float) -> float:
+def runway_course(ap: Autopilot, state: State, cross: float) -> float:
     """Course that leads onto the runway's line and along it."""
-    return state.home_heading - math.radians(50.0) * 2.0 / math.pi * math.atan(cross / 25.0)
+    return state.home_heading - math.radians(50.0) * 2.0 / math.pi * math.atan(cross / (25.0 * ap.scale))

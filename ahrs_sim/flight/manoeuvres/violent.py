@@ -5,7 +5,7 @@
 import math
 
 from ahrs_sim.flight.autopilot import Autopilot, State
-from ahrs_sim.flight.manoeuvres.base import Manoeuvre, clamp
+from ahrs_sim.flight.manoeuvres.base import FASTEST, Manoeuvre, clamp
 from ahrs_sim.scenario.table import Table
 
 
@@ -16,9 +16,10 @@ class WindupTurn(Manoeuvre):
     """
 
     name = "windup_turn"
+    steady = False
 
     def read(self, table: Table) -> None:
-        self.bank = math.radians(table.number("bank_deg", 60.0, minimum=-75.0, maximum=75.0))
+        self.bank = math.radians(table.number("bank_deg", 60.0, minimum=-80.0, maximum=80.0))
         self.rate = math.radians(table.number("rate_dps", 4.0, above=0.0))
         self.hold = table.number("hold_s", 3.0, minimum=0.0)
         if self.bank == 0.0:
@@ -26,6 +27,9 @@ class WindupTurn(Manoeuvre):
 
     def expected(self) -> float:
         return abs(self.bank) / self.rate + self.hold
+
+    def steepest(self, airspeed: float) -> float:
+        return abs(self.bank)
 
     def begin(self, ap: Autopilot, state: State) -> None:
         self.take_airspeed(ap)
@@ -118,7 +122,7 @@ class Loop(Manoeuvre):
 
     def read(self, table: Table) -> None:
         self.rate = math.radians(table.number("rate_dps", 70.0, above=20.0, maximum=140.0))
-        self.entry = table.number("entry_mps", 27.0, above=0.0, maximum=60.0)
+        self.entry = table.number("entry_mps", 27.0, above=0.0, maximum=FASTEST)
 
     def expected(self) -> float:
         return 2.0 * math.pi / self.rate + 10.0

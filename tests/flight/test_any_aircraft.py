@@ -1,0 +1,147 @@
+"""Aircraft that are not ours: analysed, flown by the one autopilot, refused in one line where that is not possible."""
+
+import math
+import shutil
+
+import numpy as np
+import pytest
+from flight_helpers import Flown, make
+
+from ahrs_sim.errors import InputError
+from ahrs_sim.flight import gains, open_flight
+from ahrs_sim.flight.design import design, from_text
+from ahrs_sim.flight.fdm import library_dir
+
+AIR = {"on_ground": False, "height_m": 1000.0, "heading_deg": 320.0}
+TURNS = [
+    {"do": "straight", "for_s": 5.0},
+    {"do": "turn", "bank_deg": 30.0, "for_s": 45.0},
+    {"do": "turn", "bank_deg": -30.0, "for_s": 45.0},
+]
+
+
+def turns(aircraft: str, **data) -> Flown:
+    flown = Flown(make(aircraft=aircraft, step=TURNS, start=AIR, **data))
+    assert flown.error is None
+    return flown
+
+
+def steady(flown: Flown, step: int) -> slice:
+    """The rows of a turn once it has been entered."""
+    rows = flown.during(step)
+    return slice(rows.start + 400 * 20, rows.stop)
+
+
+def test_what_is_found_of_a_cessna_is_plausible():
+    found = design("c172p", "test")
+    assert 22.0 < found.stall < 27.0  # 48 KCAS in its handbook, clean
+    assert 50.0 < found.fastest < 75.0  # 120 kt in level flight, in the handbook
+    assert found.stall < found.approach < found.cruise < found.fastest
+    assert found.powered
+    assert found.refusals == {}
+    alphas = [row.alpha for row in found.rows]
+    assert alphas == sorted(alphas, reverse=True)
+    middle = found.rows[3]
+    assert 3.0 < math.hypot(*middle.modes["short period"]) < 10.0
+    assert -middle.modes["Dutch roll"][0] > 0.1
+    assert 2.0 < middle.climb < 10.0
+
+
+def test_margins_are_kept_loaded_and_light():
+    found = design("c172p", "test")
+    for row in found.rows:
+        for margins in (row.margins, row.margins_light):
+            for gain, phase, _ in margins.values():
+                assert gain >= gains.GAIN_MARGIN
+                assert phase >= gains.PHASE_MARGIN
+        assert row.damping >= gains.DAMPING
+
+
+def test_a_design_is_cached_and_read_back(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    first = design("T38", "test")
+    (file,) = (tmp_path / "ahrs_sim").iterdir()
+    assert from_text(file.read_text()) == first
+    file.write_text(file.read_text().replace('"mass": ', '"mass": 1'))  # the next one comes from the file
+    assert design("T38", "test").mass != first.mass
+    file.write_text("{ half a file")
+    assert design("T38", "test") == first
+
+
+@pytest.mark.parametrize("aircraft", ["c172p", "737", "f16"])
+def test_turns(aircraft):
+    flown = turns(aircraft)
+    speed = flown.truth.airspeed
+    for step, bank in ((2, 30.0), (3, -30.0)):
+        rows = steady(flown, step)
+        assert np.abs(flown.roll[rows] - bank).max() < 3.0
+        assert np.abs(flown.truth.height_agl[rows] - 1000.0).max() < 30.0
+        assert np.abs(speed[rows] / speed[0] - 1.0).max() < 0.05
+
+
+def test_a_glider_holds_its_speed_and_sinks():
+    flown = turns("SGS")
+    for step, bank in ((2, 30.0), (3, -30.0)):
+        rows = steady(flown, step)
+        assert np.abs(flown.roll[rows] - bank).max() < 3.0
+        assert np.abs(flown.truth.airspeed[rows] / flown.truth.airspeed[0] - 1.0).max() < 0.08
+    assert 0.5 < flown.truth.vel_n[:, 2].mean() < 4.0
+
+
+def test_the_same_flight_twice_is_the_same():
+    step = [{"do": "turn", "bank_deg": 30.0, "for_s": 5.0}]
+    first, second = (Flown(make(aircraft="c172p", step=step, start=AIR), block=b) for b in (2000, 333))
+    for name in ("q_nb", "lla", "accel_b"):
+        assert np.array_equal(getattr(first.truth, name), getattr(second.truth, name))
+
+
+def test_it_flies_on_an_estimate():
+    """An attitude that is off in roll by 5 deg: the bank that is held is, too."""
+    flight = open_flight(make(aircraft="c172p", step=[{"do": "turn", "bank_deg": 20.0, "for_s": 30.0}], start=AIR))
+    off = math.radians(5.0) / 2.0
+    last = None
+    while len(rows := flight.process(8)):
+        a, b, c, d = rows.q_nb[-1]
+        cos, sin = math.cos(off), math.sin(off)
+        flight.feedback(
+            np.array([a * cos - b * sin, a * sin + b * cos, c * cos + d * sin, d * cos - c * sin]), rows.rate_ib_b[-1]
+        )
+        last = rows
+    assert flight.error is None
+    assert last is not None
+    a, b, c, d = last.q_nb[-1]
+    roll = math.degrees(math.atan2(2 * (a * b + c * d), 1 - 2 * (b * b + c * c)))
+    assert roll == pytest.approx(15.0, abs=1.0)
+
+
+def test_an_aircraft_of_ones_own_by_path(tmp_path):
+    mine = tmp_path / "hangar" / "mine"
+    shutil.copytree(library_dir() / "aircraft" / "c172p", mine)
+    (mine / "c172p.xml").rename(mine / "mine.xml")
+    for name in ("hangar/mine", "hangar/mine/mine.xml", str(mine)):
+        made = make(aircraft=name, step=TURNS, start=AIR)
+        object.__setattr__(made, "where", str(tmp_path / "scenario.toml"))
+        flight = open_flight(made)
+        assert "aircraft/mine/mine.xml" in flight.attachments()
+        assert "design.json" in flight.attachments()
+    flown = Flown(made)
+    assert flown.error is None
+    assert np.abs(flown.roll[steady(flown, 2)] - 30.0).max() < 3.0
+
+
+@pytest.mark.parametrize(
+    ("aircraft", "step", "message"),
+    [
+        ("ball", {"do": "straight"}, "no glide is found"),
+        ("no/such/folder", {"do": "straight"}, "there is no file or folder"),
+        ("737", {"do": "turn", "bank_deg": 60.0, "airspeed_mps": 95.0}, r"has up to \d+ deg at 95 m/s.*or at \d+ m/s"),
+        ("737", {"do": "straight", "airspeed_mps": 30.0}, r"flies \d+ to \d+ m/s, not 30"),
+        ("SGS", {"do": "takeoff"}, "no engine"),
+        ("737", {"do": "orbit", "radius_m": 90.0}, "deg of bank"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused_in_one_line(aircraft, step, message):
+    with pytest.raises(InputError, match=message) as caught:
+        open_flight(make(aircraft=aircraft, step=[step], start=AIR))
+    assert "\n" not in str(caught.value)
+    assert "test.toml" in str(caught.value)
