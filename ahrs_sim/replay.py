@@ -6,7 +6,6 @@ From the records on it is the path of a flight: on a log of ours the same estima
 """
 
 import math
-import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +23,7 @@ from ahrs_sim.log.mcap.writer import CarriedChannel, Listener, LogWriter
 from ahrs_sim.log.topics import INSTRUMENTS, REFERENCE
 from ahrs_sim.recordings.sources import is_mcap
 from ahrs_sim.scenario import Component, Gate
+from ahrs_sim.scenario.table import parse_toml
 from ahrs_sim.sensors.records import SuiteBlock, within
 from estimators.types import Estimates, SensorInfo, Site, blank
 
@@ -226,10 +226,7 @@ def of_flight(
     Raises:
         InputError: an unknown estimator, or the log does not tell what estimators need.
     """
-    try:
-        data = tomllib.loads(log.attachment(SCENARIO).decode())
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{log.path}: damaged: {SCENARIO}: {error}") from None
+    data = parse_toml(log.attachment(SCENARIO).decode(errors="replace"), f"{log.path}: damaged: {SCENARIO}")
     scenario = scenarios.parse(data, str(log.path), log.path.stem, estimators=names, gate=gate)
     components = scenario.estimators
     suites = list(dict.fromkeys(str(c.settings["suite"]) for c in components))

@@ -5,8 +5,11 @@ kernel would leave its callers returning the old answer. The cache therefore lie
 sources that take part, chosen before anything is decorated.
 """
 
+import atexit
 import hashlib
 import os
+import shutil
+import stat
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -19,15 +22,36 @@ from numba.extending import intrinsic, overload, register_jitable
 
 
 def _cache_root() -> Path:
-    """`$NUMBA_CACHE_DIR`, else the user's cache folder, else a temporary one when that is not writable."""
+    """`$NUMBA_CACHE_DIR`, else the user's cache folder, else a private temporary one when that is not writable."""
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
-        return Path(chosen)
-    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ahrs_sim"
+        root = Path(chosen)
+    else:
+        try:
+            root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ahrs_sim"
+        except RuntimeError:  # a user without a home
+            return _private_root()
     try:
         root.mkdir(parents=True, exist_ok=True)
     except OSError:
-        return Path(tempfile.gettempdir()) / "ahrs_sim"
-    return root if os.access(root, os.W_OK) else Path(tempfile.gettempdir()) / "ahrs_sim"
+        return _private_root()
+    return root if os.access(root, os.W_OK) else _private_root()
+
+
+def _private_root() -> Path:
+    """A temporary folder that nobody else can write to: what lies in it is run."""
+    if not hasattr(os, "getuid"):
+        return Path(tempfile.gettempdir()) / "ahrs_sim"  # of the user alone, on Windows
+    root = Path(tempfile.gettempdir()) / f"ahrs_sim-{os.getuid()}"
+    try:
+        root.mkdir(mode=0o700, exist_ok=True)
+        found = root.lstat()
+        if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o022:
+            return root
+    except OSError:
+        pass
+    made = tempfile.mkdtemp(prefix="ahrs_sim-")  # compiled anew every time: somebody else has that name
+    atexit.register(shutil.rmtree, made, ignore_errors=True)
+    return Path(made)
 
 
 def compiler(*packages: Path) -> Callable[..., Any]:

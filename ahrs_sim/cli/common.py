@@ -29,10 +29,12 @@ def natural(text: str) -> int:
 
 
 def positive(text: str) -> float:
-    """Read a duration, s."""
+    """Read a duration, s, or a rate: above 0, below 1e9."""
     value = float(text)
-    if not 0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text} is not a positive number of seconds")
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
+    if not value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text} is too large; it must be below 1e9")
     return value
 
 

@@ -65,7 +65,8 @@ def interpolate(t: np.ndarray, q_nb: np.ndarray, at: np.ndarray) -> np.ndarray:
     weight = np.where(span > 0, (at - t[left]) / np.where(span > 0, span, 1.0), 0.0)[:, None]
     sign = np.where(np.sum(q_nb[left] * q_nb[right], axis=1) < 0, -1.0, 1.0)[:, None]
     q: np.ndarray = (1 - weight) * q_nb[left] + weight * sign * q_nb[right]
-    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    with np.errstate(invalid="ignore"):  # a reference of zeros is none
+        q /= np.linalg.norm(q, axis=1, keepdims=True)
     longest = GAP * np.quantile(np.diff(t), 0.9, method="lower") if len(t) > 2 else np.inf
     gap = (span > longest) & (at > t[left] + 1e-9) & (at < t[right] - 1e-9)
     q[gap | (at < t[0] - 1e-9) | (at > t[-1] + 1e-9)] = np.nan

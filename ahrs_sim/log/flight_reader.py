@@ -13,12 +13,14 @@ import numpy as np
 
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
+from ahrs_sim.log import messages
 from ahrs_sim.log.mcap.reader import LogReader, quaternion, stamps, vector
 from ahrs_sim.log.topics import (
     EVENTS,
     HEARD,
     INSTRUMENTS,
     ODOMETRY,
+    REFERENCE,
     SETPOINTS,
     STATE,
     STATUS,
@@ -28,6 +30,11 @@ from ahrs_sim.log.topics import (
 )
 from ahrs_sim.sensors.records import AttitudeRecord, FixRecord, ImuRecord, Record, SuiteBlock
 from estimators.types import Estimates, blank
+
+LONGEST_S = 7 * 86400.0
+"""s that a time of flight may be: whoever makes grids of time need not believe more."""
+
+_TYPES = {route.topic: route.type_name for route in (*TRUTH, REFERENCE, SETPOINTS, EVENTS)}
 
 
 class FlightReader(LogReader):
@@ -53,9 +60,31 @@ class FlightReader(LogReader):
         ends = "/est/", STATE.topic
         return [t[len(ends[0]) : -len(ends[1])] for t in self.topics if t.startswith(ends[0]) and t.endswith(ends[1])]
 
+    def _plan(self, topic: str) -> list[int]:
+        """As any reader's; topics of the truth and of estimators are what we write, and known types as we know them."""
+        numbers = super()._plan(topic)
+        found, expected = self._type_name(numbers[0]), _TYPES.get(topic)
+        if topic.startswith("/est/") and topic.endswith(STATE.topic):
+            expected = STATE.type_name
+        if expected is not None and found != expected:
+            raise InputError(f"{self.path}: topic {topic} is a {found}; it must be a {expected}")
+        if wrong := messages.difference(found, self._dtype(numbers)):
+            raise InputError(f"{self.path}: topic {topic} is not a {found} as it is known: {wrong}")
+        return numbers
+
     def seconds(self, ns: np.ndarray) -> np.ndarray:
-        """Time of flight (s) of times in ns since 1970."""
-        return (ns - self.epoch_ns) / 1e9
+        """Time of flight (s) of times in ns since 1970.
+
+        Raises:
+            InputError: one is further from the beginning than any flight is long.
+        """
+        t: np.ndarray = (ns - self.epoch_ns) / 1e9
+        if len(t) and (furthest := float(np.abs(t).max())) > LONGEST_S:
+            raise InputError(
+                f"{self.path}: a stamp is {furthest / 86400:.0f} days from the beginning of the log; "
+                f"no flight is longer than {LONGEST_S / 86400:.0f} days"
+            )
+        return t
 
     def truth(self, start: float | None = None, end: float | None = None) -> Truth:
         """The truth at its logged rate.
@@ -81,6 +110,7 @@ class FlightReader(LogReader):
             raise InputError(f"{self.path}: no instrument '{instrument}'{nearest(instrument, INSTRUMENTS)}")
         kind, route = INSTRUMENTS[instrument]
         span = self._span(start, end)
+        self._expect(f"/{suite}{route.topic}", route)
         array = self.read(f"/{suite}{route.topic}", *span)
         columns = self._columns(kind, route, array)
         if instrument in STATUS and f"/{suite}{STATUS[instrument].topic}" in self.topics:  # a bag's suite has none
@@ -115,27 +145,33 @@ class FlightReader(LogReader):
         if unknown := [name for name in names if name not in self.suites]:
             raise InputError(f"{self.path}: no suite '{unknown[0]}'{nearest(unknown[0], self.suites)}")
         heard = [(suite, i) for suite in names for i in self.suites[suite] if i in HEARD]
+        for suite, instrument in heard:
+            for route in (INSTRUMENTS[instrument][1], *([STATUS[instrument]] if instrument == "fix" else [])):
+                self._expect(f"/{suite}{route.topic}", route)
         instruments = {f"/{suite}{INSTRUMENTS[i][1].topic}": (suite, i) for suite, i in heard}
         satellites = {f"/{suite}{STATUS[i].topic}": suite for suite, i in heard if i == "fix"}
         truth = [ODOMETRY.topic] if ODOMETRY.topic in self.topics and not beside else []
-        for messages in self.blocks([*instruments, *satellites, *truth, *topics]):
+        for portion in self.blocks([*instruments, *satellites, *truth, *topics]):
             if beside:
-                beside(messages)
+                beside(portion)
             found: dict[str, SuiteBlock] = {suite: {} for suite in names}
             for topic in truth:
-                found[names[0]]["reference"] = AttitudeRecord(
-                    **self._columns(AttitudeRecord, ODOMETRY, messages[topic])
-                )
+                found[names[0]]["reference"] = AttitudeRecord(**self._columns(AttitudeRecord, ODOMETRY, portion[topic]))
             for topic, (suite, instrument) in instruments.items():
                 kind, route = INSTRUMENTS[instrument]
-                columns = self._columns(kind, route, messages[topic])
+                columns = self._columns(kind, route, portion[topic])
                 if kind is FixRecord:  # one status a fix, sent with it
-                    status = messages[f"/{suite}{STATUS[instrument].topic}"]
+                    status = portion[f"/{suite}{STATUS[instrument].topic}"]
                     rows = np.searchsorted(stamps(status), columns["stamp_ns"] + self.epoch_ns, "right") - 1
                     if len(status):
                         STATUS[instrument].put(columns, status[np.maximum(rows, 0)])
                 found[suite][instrument] = kind(**columns)
             yield found
+
+    def _expect(self, topic: str, route: Route) -> None:
+        """Check the type of a topic that others name likewise."""
+        if topic in self.topics and (found := self.topics[topic].type_name) != route.type_name:
+            raise InputError(f"{self.path}: topic {topic} is a {found}; it must be a {route.type_name}")
 
     def _columns(self, kind: type[Record], route: Route, array: np.ndarray) -> dict[str, np.ndarray]:
         columns = blank(kind, len(array))

@@ -5,8 +5,11 @@ travels in every log's schema and into `logs/README.md`.
 """
 
 import functools
+from typing import Any
 
-from ahrs_sim.log.mcap.cdr import Definitions, parse_definitions, short_name
+import numpy as np
+
+from ahrs_sim.log.mcap.cdr import Definitions, message_dtype, parse_definitions, short_name
 
 _DEFINITIONS = """
 MSG: builtin_interfaces/Time
@@ -31,6 +34,12 @@ float64 w
 MSG: geometry_msgs/Pose
 geometry_msgs/Point position
 geometry_msgs/Quaternion orientation
+MSG: geometry_msgs/PoseStamped
+std_msgs/Header header
+geometry_msgs/Pose pose
+MSG: geometry_msgs/PoseWithCovarianceStamped
+std_msgs/Header header
+geometry_msgs/PoseWithCovariance pose
 MSG: geometry_msgs/PoseWithCovariance
 geometry_msgs/Pose pose
 float64[36] covariance
@@ -228,6 +237,37 @@ def definitions(type_name: str) -> Definitions:
     """Parsed definitions of a type and all it needs."""
     everything = f"\n{'=' * 80}\n".join(f"MSG: {name}\n{text}" for name, text in _texts().items())
     return parse_definitions(type_name, f"{definition(type_name)}\n{everything}")
+
+
+def difference(type_name: str, dtype: np.dtype[Any]) -> str:
+    """Say which field of a type is missing or of another kind in somebody else's definition of it.
+
+    Args:
+        type_name: `package/msg/Type`.
+        dtype: of its messages as read; more fields than expected do no harm.
+
+    Returns:
+        The field and what is wrong with it; empty when nothing is, or when the type is none of ours.
+    """
+    if short_name(type_name) not in _texts():
+        return ""
+    return _differs(message_dtype(definitions(type_name), type_name), dtype, "")
+
+
+def _differs(expected: np.dtype[Any], found: np.dtype[Any], path: str) -> str:
+    if expected.shape != found.shape:
+        return f"field {path} has {found.shape or 'no'} elements instead of {expected.shape or 'none'}"
+    expected, found = expected.base, found.base
+    if expected.names is None or found.names is None:
+        alike = expected.kind == found.kind or {expected.kind, found.kind} <= set("biuf")
+        return "" if alike else f"field {path} is of another kind"
+    for name in expected.names:
+        inner = f"{path}.{name}" if path else name
+        if name not in found.names:
+            return f"field {inner} is missing"
+        if wrong := _differs(expected[name], found[name], inner):
+            return wrong
+    return ""
 
 
 def schema_text(type_name: str) -> str:

@@ -47,6 +47,7 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim.errors import InputError, nearest
+from ahrs_sim.log import messages
 from ahrs_sim.log.mcap.reader import vector
 from ahrs_sim.recordings import frames
 from ahrs_sim.recordings.frames import ORIENTATIONS
@@ -247,7 +248,10 @@ def choose(source: Source, mapping: Map, notes: list[str] | None = None) -> dict
         candidates = _candidates(kind, topics, taken) if wanted is None else [_named(kind, wanted, topics, mapping)]
         for topic in candidates:
             first = _first(source, topic.name)
-            why = "" if wanted and len(first) else _unfit(kind, topic, first, source)
+            why = messages.difference(topic.type_name, first.dtype) if len(first) else ""
+            if why and wanted:
+                raise InputError(f"{source.path}: {topic.name} is not a {topic.type_name} as it is known: {why}")
+            why = why or ("" if wanted and len(first) else _unfit(kind, topic, first, source))
             if why:
                 if "never change" in why or kind == "imu":
                     passed.append(f"{topic.name} is no {kind}: {why}")

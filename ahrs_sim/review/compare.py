@@ -1,5 +1,6 @@
 """`ahrs-sim compare`: how wrong was each estimator, over all and by phase of the flight."""
 
+import csv as csv_form
 import io
 import math
 from collections.abc import Iterable, Mapping
@@ -17,6 +18,7 @@ from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.mcap.reader import quaternion, stamps, vector
 from ahrs_sim.log.topics import REFERENCE, STATE
 from ahrs_sim.recordings import frames
+from ahrs_sim.review.export import plain_cell
 
 TRUTH_TOPIC = "/truth/imu"
 STATE_TOPIC = "/truth/state"
@@ -262,9 +264,11 @@ def _cell(value: float | None, width: int = 6) -> str:
 def csv(result: dict[str, Any]) -> str:
     """The result as comma-separated values: a line per estimator and phase ("all": the whole flight)."""
     keys = [f"{m}_{s}_deg" for m in metrics.MEASURES for s in ("rmse", "p95", "max")]
-    lines = [",".join(["estimator", "reference", "phase", *keys])]
+    out = io.StringIO()
+    rows = csv_form.writer(out, lineterminator="\n")
+    rows.writerow(["estimator", "reference", "phase", *keys])
     for name, values in result["estimators"].items():
         for phase, cells in {"all": values, **values["phases"]}.items():
             numbers = ["" if cells[k] is None else repr(cells[k]) for k in keys]
-            lines.append(",".join([name, result["reference"], phase, *numbers]))
-    return "\n".join(lines)
+            rows.writerow([plain_cell(name), plain_cell(result["reference"]), phase, *numbers])
+    return out.getvalue().rstrip("\n")

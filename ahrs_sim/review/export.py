@@ -17,7 +17,7 @@ import numpy as np
 from ahrs_sim.errors import InputError
 from ahrs_sim.evaluation import metrics
 from ahrs_sim.log.flight_reader import FlightReader
-from ahrs_sim.log.mcap.reader import LogReader, flatten, stamps
+from ahrs_sim.log.mcap.reader import LogReader, flatten, is_stamped, stamps
 
 if TYPE_CHECKING:
     import pandas
@@ -83,7 +83,7 @@ def _columns(array: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def _seconds(log: LogReader, array: np.ndarray) -> np.ndarray:
-    ns = stamps(array) if "header" in (array.dtype.names or ()) else array["log_time"]
+    ns = stamps(array) if is_stamped(array.dtype) else array["log_time"]
     return (ns - log.epoch_ns) / 1e9
 
 
@@ -240,6 +240,15 @@ def export(path: Path, form: str, folder: Path, topics: Sequence[str] = ()) -> l
         return [tables[topic].output for topic in chosen if topic in tables]
 
 
+def plain_cell(text: str) -> str:
+    """Text for a cell of a CSV: one that a spreadsheet would take for a formula gets a `'` in front."""
+    return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
+
+
+def _plain_cells(values: np.ndarray) -> np.ndarray:
+    return np.array([plain_cell(str(x)) for x in values], object) if values.dtype == object else values
+
+
 class _CsvTable:
     """A topic as comma-separated values."""
 
@@ -252,7 +261,8 @@ class _CsvTable:
     def write(self, columns: dict[str, np.ndarray]) -> None:
         import pandas
 
-        frame = pandas.DataFrame(columns, copy=False)
+        plain = {plain_cell(name): _plain_cells(values) for name, values in columns.items()}
+        frame = pandas.DataFrame(plain, copy=False)
         frame.to_csv(self.stream, index=False, header=self.empty, lineterminator="\n")
         self.empty = False
 

@@ -79,6 +79,8 @@ def lags(t: np.ndarray, truth: np.ndarray, estimate: np.ndarray) -> tuple[float,
     if len(t) < 3 or not has.any():
         return math.nan, math.nan
     dt = float(np.median(np.diff(t)))
+    if not 0.0 < t[-1] - t[0] < 100 * len(t) * dt:  # hardly any sample of a grid would have an estimate near
+        return math.nan, math.nan
     at = np.arange(t[0], t[-1], dt)
     right = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
     gap = np.minimum(at - t[right - 1], t[right] - at) > 0.6 * dt  # between samples that are too far apart

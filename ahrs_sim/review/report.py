@@ -7,8 +7,10 @@ reduces them to what a screen can show at every zoom.
 """
 
 import base64
+import hashlib
 import json
 import math
+import re
 import warnings
 import zlib
 from collections.abc import Sequence
@@ -27,6 +29,9 @@ from estimators.types import Status
 
 BUDGET = 2_600_000
 """Bytes that the packed series may take in the page; what is beyond halves the rate of the errors."""
+
+_POINTS = 5_000_000
+"""Points of a grid over a flight: what the rate of the estimates may not exceed, whatever their times say."""
 
 CAMPAIGN = 4
 """Flights of one scenario from which on a page shows bands over the flights instead of each."""
@@ -53,6 +58,7 @@ def write(flights: Sequence[FlightTraces], output: Path) -> int:
 def page(flights: Sequence[FlightTraces]) -> str:
     """The page of flights already gathered."""
     rate = max((_rate(e.t) for f in flights for e in f.estimators.values()), default=COARSE)
+    rate = max(COARSE, min([rate, *(_POINTS / (float(f.t[-1] - f.t[0]) + 1.0) for f in flights)]))
     labels = _labels(flights)
     while True:
         packer = _Packer()
@@ -77,13 +83,24 @@ def _assemble(data: str, packed: str) -> str:
     """The template with everything in its place."""
     folder = resources.files("ahrs_sim.review") / "page"
     parts = {name: (folder / name).read_text(encoding="utf-8") for name in ("template.html", *_PARTS.values())}
-    text = parts["template.html"]
-    for mark, name in _PARTS.items():
-        text = text.replace(mark, parts[name])
-    # "</" would end the script element that holds the data.
-    return text.replace("@DATA@", data.replace("</", "<\\/")).replace("@SERIES@", packed)
+    # In a script element "</script" would end the data, and "<!--<script" swallow what follows.
+    filled = {mark: parts[name] for mark, name in _PARTS.items()}
+    filled |= {"@DATA@": data.replace("<", "\\u003c"), "@SERIES@": packed}
+    text = _MARK.sub(lambda found: filled[found[0]], parts["template.html"])  # once: what is put in stays as it is
+    return text.replace("@POLICY@", _policy(text), 1)
 
 
+def _policy(text: str) -> str:
+    """Content-Security-Policy of a page: its own programs and styles run, nothing is fetched or sent."""
+    kinds = (("script-src", r"<script>(.*?)</script>"), ("style-src", r"<style>(.*?)</style>"))
+    allowed = []
+    for kind, pattern in kinds:
+        digests = [hashlib.sha256(part.encode()).digest() for part in re.findall(pattern, text, re.DOTALL)]
+        allowed.append(" ".join([kind, *(f"'sha256-{base64.b64encode(d).decode()}'" for d in digests)]))
+    return "; ".join(["default-src 'none'", *allowed, "img-src data:", "base-uri 'none'", "form-action 'none'"])
+
+
+_MARK = re.compile("@(STYLE|UPLOT_STYLE|UPLOT_LICENSE|UPLOT|PROGRAM|DATA|SERIES)@")
 _PARTS = {
     "@STYLE@": "report.css",
     "@UPLOT_STYLE@": "uplot.css",

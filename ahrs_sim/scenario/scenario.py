@@ -17,7 +17,7 @@ from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.scenario.code import ANY, Gate, named
 from ahrs_sim.scenario.component import Component, estimator_component
 from ahrs_sim.scenario.shipped import scenario_dir
-from ahrs_sim.scenario.table import Table, read_toml
+from ahrs_sim.scenario.table import MAX_DEPTH, Table, read_toml
 
 TURBULENCE = {"none": 0.0, "light": 7.62, "moderate": 15.24, "severe": 22.86}
 """Severity -> wind speed at 20 ft above ground in m/s (25, 50, 75 ft/s; MIL-F-8785C, section 3.7.3)."""
@@ -271,6 +271,8 @@ def _merged(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     base = beside if beside.is_file() else find(parent)
     if base in (*seen, path):
         raise table.error("extends", f"'{parent}' leads back to this file; break the circle")
+    if len(seen) == MAX_DEPTH:
+        raise table.error("extends", f"goes through more than {MAX_DEPTH} files; extend one of them directly")
     return _overlay(_merged(base, (*seen, path)), data)
 
 

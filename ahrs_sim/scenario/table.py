@@ -21,6 +21,14 @@ import numpy as np
 
 from ahrs_sim.errors import InputError, nearest
 
+MAX_TOML = 4 << 20
+"""Characters of a TOML file."""
+
+MAX_DEPTH = 32
+"""Levels of tables and lists in a TOML file."""
+
+_YEARS = 1970, 2038  # that a date may be in: seconds of a stamp in a message have 31 bits
+
 _REQUIRED: Any = object()
 
 
@@ -198,6 +206,8 @@ class Table:
         value = self._value(key, default, _key("date", default))
         if not isinstance(value, datetime.datetime):
             raise self.error(key, f"{value!r} is not a date and time like 2026-06-01T10:00:00Z")
+        if not _YEARS[0] <= value.year < _YEARS[1]:
+            raise self.error(key, f"{value} is out of range; it must be from {_YEARS[0]} to {_YEARS[1] - 1}")
         return value if value.tzinfo else value.replace(tzinfo=datetime.UTC)
 
     def table(self, key: str) -> "Table":
@@ -266,14 +276,44 @@ def read_toml(path: Path) -> Table:
     """Parse a TOML file.
 
     Raises:
-        InputError: the file is absent, unreadable, not UTF-8 or not TOML (with the line).
+        InputError: the file is absent, unreadable, not UTF-8, too large or not TOML (with the line).
     """
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        if path.exists() and not path.is_file():  # a pipe would be waited for
+            raise InputError(f"{path}: cannot be read (it is not a file)")
+        with path.open("rb") as stream:
+            text = stream.read(MAX_TOML + 1).decode()
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read ({error})") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
-    return Table(data, str(path))
+    return Table(parse_toml(text, str(path)), str(path))
+
+
+def parse_toml(text: str, where: str) -> dict[str, Any]:
+    """Parse TOML: whoever wrote it, what comes back is shallow and its numbers fit into 64 bits.
+
+    Raises:
+        InputError: it is not TOML, longer than `MAX_TOML`, nested deeper than `MAX_DEPTH`, or a number is too large.
+    """
+    if len(text) > MAX_TOML:
+        raise InputError(f"{where}: longer than {MAX_TOML >> 20} MiB, which no such file is")
+    try:
+        data = tomllib.loads(text)
+    except RecursionError:
+        raise InputError(f"{where}: not valid TOML: nested deeper than {MAX_DEPTH} levels") from None
+    except ValueError as error:  # TOMLDecodeError, and numbers of thousands of digits
+        reason = error if isinstance(error, tomllib.TOMLDecodeError) else "a number has too many digits"
+        raise InputError(f"{where}: not valid TOML: {reason}") from None
+    level: list[Any] = [data]
+    for _ in range(MAX_DEPTH):
+        inner: list[Any] = []
+        for value in level:
+            if isinstance(value, dict | list):
+                inner += value.values() if isinstance(value, dict) else value
+            elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+                raise InputError(f"{where}: not valid TOML: a whole number does not fit into 64 bits")
+        level = inner
+    if level:
+        raise InputError(f"{where}: not valid TOML: nested deeper than {MAX_DEPTH} levels")
+    return data

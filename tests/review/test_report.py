@@ -177,3 +177,29 @@ def test_command_writes_page_and_figures(
     assert names == {f"short-{n}.png" for n in ("attitude", "errors", "consistency", "worst", "track", "biases")}
     assert cli.main(["compare", str(flown), "--report", str(tmp_path / "no" / "out.html")]) == 2
     assert "cannot be written" in capsys.readouterr().err
+
+
+def test_what_a_log_says_stays_text(traces: FlightTraces) -> None:
+    bad = "<!--<script>@SERIES@</script>@PROGRAM@\u2028"
+    hostile = dataclasses.replace(traces, metadata={**traces.metadata, "flight": {"scenario": bad}, bad: {bad: bad}})
+    page = report.page([hostile])
+    data, _ = parts(page)
+    assert data["title"] == bad
+    assert data["runs"][0]["provenance"][bad] == {bad: bad}
+    assert page.count("<script") == 4
+    assert "<!--" not in page
+
+
+def test_a_policy_allows_the_page_itself_and_nothing_else(page: str) -> None:
+    import hashlib
+
+    policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', page)
+    assert policy
+    rules = dict(rule.strip().split(" ", 1) for rule in policy[1].split(";"))
+    assert rules["default-src"] == rules["base-uri"] == rules["form-action"] == "'none'"
+    for rule, element in (("script-src", "script"), ("style-src", "style")):
+        found = re.findall(f"<{element}>(.*?)</{element}>", page, re.DOTALL)
+        digests = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in found]
+        assert rules[rule].split() == [f"'sha256-{d}'" for d in digests]
+        assert len(digests) == 2
+    assert not re.search(r"\s(on\w+|style)=", page.partition("<body>")[2].partition("<script")[0])

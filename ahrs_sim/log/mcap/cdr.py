@@ -52,6 +52,8 @@ _KNOWN = {
 }
 _ABBREVIATED = {"time": TIMES[0], "duration": TIMES[1], "Header": "std_msgs/Header"}
 _LEAVES = 100_000
+_DEPTH = 32
+_FIXED = 1 << 20
 
 
 class CdrError(ValueError):
@@ -94,20 +96,21 @@ def parse_definitions(name: str, text: str) -> Definitions:
             current, lines = short_name(line[5:].strip()), []
         elif not line.startswith("====="):
             lines.append(line)
-    needed = [short_name(name)]
-    for used in needed:
+    needed = {short_name(name): None}
+    waiting = [short_name(name)]
+    for used in waiting:
         if used not in definitions:
             if used not in _KNOWN:
                 raise CdrError(f"{name}: the definition of {used} is missing")
             definitions[used] = _fields(used, _KNOWN[used].splitlines())
-        needed += [
-            f.type
-            for f in definitions[used]
-            if f.type not in PRIMITIVES and f.type != "string" and f.type not in needed
-        ]
+        inner = dict.fromkeys(f.type for f in definitions[used] if f.type not in PRIMITIVES and f.type != "string")
+        waiting += [kind for kind in inner if kind not in needed]
+        needed |= inner
     definitions = {used: definitions[used] for used in needed}
     if _leaves(definitions, short_name(name), {}) > _LEAVES:
         raise CdrError(f"{name}: more than {_LEAVES} fields")
+    if _least_size(definitions, short_name(name)) > _FIXED:
+        raise CdrError(f"{name}: more than {_FIXED} bytes of fixed arrays")
     return definitions
 
 
@@ -128,6 +131,8 @@ def _fields(owner: str, lines: Sequence[str]) -> tuple[Field, ...]:
             size = size.rstrip("]")
             try:
                 count = -1 if not size or size.startswith("<=") else int(size)
+                if count < 0 < len(size) and not size.startswith("<="):
+                    raise ValueError
             except ValueError:
                 raise CdrError(f"{owner}.{name}: array size '{size[:20]}' is not understood") from None
         base = base.partition("<=")[0]
@@ -142,13 +147,15 @@ def _fields(owner: str, lines: Sequence[str]) -> tuple[Field, ...]:
     return tuple(fields) or (Field("structure_needs_at_least_one_member", "uint8", None),)
 
 
-def _leaves(definitions: Definitions, name: str, seen: dict[str, int]) -> int:
+def _leaves(definitions: Definitions, name: str, seen: dict[str, int], depth: int = 0) -> int:
     """Values and arrays in a message, at any depth; refuses circles."""
+    if depth > _DEPTH:
+        raise CdrError(f"{name}: types within types, more than {_DEPTH} levels deep")
     if name not in seen:
         seen[name] = _LEAVES + 1  # until it is known: whoever meets it meanwhile is inside it
         total = 0
         for field in definitions[name]:
-            one = _leaves(definitions, field.type, seen) if field.type in definitions else 1
+            one = _leaves(definitions, field.type, seen, depth + 1) if field.type in definitions else 1
             repeated = max(field.count or 1, 1) if field.type not in PRIMITIVES else 1
             total += one * repeated
         seen[name] = total
@@ -378,6 +385,8 @@ class _Decoder:
                     if n * least > self.size - self.at:
                         raise CdrError("a length points behind the end of its message")
                     dtype = message_dtype(self.definitions, field.type)
+                if field.type not in PRIMITIVES and n > _LEAVES:
+                    raise CdrError(f"a sequence of more than {_LEAVES} elements in a message")
                 elements = np.empty((len(out), n), dtype)
                 self.many(field.type, n, elements)
                 for i in range(len(out)):

@@ -8,6 +8,7 @@ import os
 import struct
 import threading
 import zlib
+from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -40,9 +41,11 @@ T = TypeVar("T")
 MAX_CHUNK = 256 << 20
 """Bytes of one chunk or record, uncompressed, that are still believed."""
 
+_LAST_NS = 2**63 - 1
 _FOOTER = RECORD_HEAD.size + 20
 _CHUNK_HEAD = struct.Struct("<QQQI")  # start, end, uncompressed size, checksum
 _PIECE = 8 << 20  # of an unchunked file, at a time
+_WINDOW = 1 << 18  # of a file that is walked through, at a time
 
 
 class Damaged(Exception):
@@ -176,6 +179,8 @@ class LogFile:
                 statistics = parse(Statistics.read, body)
             elif opcode == Opcode.CHUNK_INDEX:
                 chunk = parse(ChunkIndex.read, body)
+                if max(chunk.message_start_time, chunk.message_end_time) > _LAST_NS:
+                    raise Damaged("a chunk is of after the year 2262")
                 index = chunk.message_index_offsets if chunk.message_index_length else None
                 contents.pieces.append(
                     Piece(
@@ -217,8 +222,11 @@ class LogFile:
             if run_messages:
                 contents.pieces.append(Piece(run_start, end - run_start, 0, 0, chunked=False))
 
+        window, begun, before = b"", 0, (0, 0)
         while at + RECORD_HEAD.size <= self.size:
-            opcode, length = RECORD_HEAD.unpack(self._at(at, RECORD_HEAD.size))
+            if not begun <= at <= begun + len(window) - RECORD_HEAD.size:
+                window, begun = self._at(at, min(_WINDOW, self.size - at)), at
+            opcode, length = RECORD_HEAD.unpack_from(window, at - begun)
             if length > self.size - at - RECORD_HEAD.size:
                 raise Damaged(f"the record at {at} is longer than the file")
             whole = RECORD_HEAD.size + length
@@ -226,6 +234,8 @@ class LogFile:
                 break
             if opcode == Opcode.MESSAGE:
                 run_messages = True
+                if (opcode, length) == before and whole <= len(window) - (at - begun):  # one more of the same size
+                    whole = alike(np.frombuffer(window, np.uint8)[at - begun :], whole).size
             elif opcode == Opcode.CHUNK:
                 close_run(at)
                 contents.pieces.append(Piece(at, whole, 0, 0))
@@ -242,7 +252,7 @@ class LogFile:
                         at, whole, item.log_time, item.create_time, len(item.data), item.name, item.media_type
                     )
                 )
-            at += whole
+            at, before = at + whole, (opcode, length)
             if run_messages and at - run_start > _PIECE:
                 close_run(at)
                 run_start, run_messages = at, False
@@ -340,13 +350,13 @@ def read_at(stream: IO[bytes], size: int, offset: int, length: int) -> bytes:
     return data
 
 
-def records(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
-    """Opcode, offset and length of the content of each record.
+def records(data: bytes | memoryview, at: int = 0) -> Iterator[tuple[int, int, int]]:
+    """Opcode, offset and length of the content of each record from `at` on.
 
     Raises:
         Damaged: the last one is longer than the data.
     """
-    at, size = 0, len(data)
+    size = len(data)
     unpack = RECORD_HEAD.unpack_from
     while at < size:
         if at + 9 > size:
@@ -418,18 +428,44 @@ def find_messages(
     data: bytes | memoryview, wanted: set[int] | None, found: Contents | None = None
 ) -> dict[int, np.ndarray]:
     """Offsets of the messages in a run of records, by channel; schemas and channels met go into `found`."""
-    offsets: dict[int, list[int]] = {}
+    offsets: dict[int, array[int]] = {}
     channel_of = struct.Struct("<H").unpack_from
-    for opcode, at, length in records(data):
+    whole = np.frombuffer(data, np.uint8)
+    at, size, before = 0, len(data), b""
+    while at < size:
+        opcode, body, length = next(records(data, at))
+        head = bytes(data[at:body])
         if opcode == Opcode.MESSAGE:
             if length < MESSAGE_HEAD.size - RECORD_HEAD.size:
                 raise Damaged("a message is cut off")
-            (channel,) = channel_of(data, at)
+            if head == before:  # one more of the same size: all of them at once
+                rows = alike(whole[at:], RECORD_HEAD.size + length)
+                channels = rows[:, 9].astype(np.int64) | rows[:, 10].astype(np.int64) << 8
+                places = at + np.arange(len(rows), dtype=np.int64) * rows.shape[1]
+                for channel in np.unique(channels).tolist():
+                    if wanted is None or channel in wanted:
+                        offsets.setdefault(channel, array("q")).frombytes(places[channels == channel].tobytes())
+                at += rows.size
+                continue
+            (channel,) = channel_of(data, body)
             if wanted is None or channel in wanted:
-                offsets.setdefault(channel, []).append(at - RECORD_HEAD.size)
+                offsets.setdefault(channel, array("q")).append(at)
         elif found is not None and opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            register(found, opcode, bytes(data[at : at + length]))
-    return {channel: np.array(places, np.int64) for channel, places in offsets.items()}
+            register(found, opcode, bytes(data[body : body + length]))
+        at, before = body + length, head
+    return {channel: np.frombuffer(places, np.int64) for channel, places in offsets.items()}
+
+
+def alike(data: np.ndarray, size: int) -> np.ndarray:
+    """The whole records of `size` bytes (n, size) at the beginning of `data` with the same opcode and length."""
+    rows = data[: len(data) // size * size].reshape(-1, size)
+    n, step = 1, 16
+    while n < len(rows):
+        same = (rows[n : n + step, : RECORD_HEAD.size] == rows[0, : RECORD_HEAD.size]).all(axis=1)
+        if not same.all():
+            return rows[: n + int(np.argmin(same))]
+        n, step = n + len(same), 2 * step
+    return rows
 
 
 def register(contents: Contents, opcode: int, body: bytes) -> None:
@@ -476,7 +512,7 @@ def rows_at(data: np.ndarray, offsets: np.ndarray, size: int) -> np.ndarray:
 
 
 def message_heads(data: np.ndarray, offsets: np.ndarray, channel: int | np.ndarray) -> np.ndarray:
-    """Heads of the messages of a channel at `offsets`, checked to be that and to lie inside.
+    """Heads of the messages of a channel at `offsets`, checked to be that, to lie inside and to be of our time.
 
     Raises:
         Damaged: they are not.
@@ -492,4 +528,6 @@ def message_heads(data: np.ndarray, offsets: np.ndarray, channel: int | np.ndarr
         raise Damaged("a message is longer than its chunk")
     if (offsets + ends.astype(np.int64) > data.size).any():
         raise Damaged("a message is longer than its chunk")
+    if (heads["log_time"] > _LAST_NS).any():
+        raise Damaged("a message is of after the year 2262")
     return heads

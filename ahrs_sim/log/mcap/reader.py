@@ -9,6 +9,7 @@
 What is wrong with a file is one `InputError` naming it.
 """
 
+import contextlib
 import functools
 from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -124,10 +125,11 @@ class LogReader:
     @property
     def epoch_ns(self) -> int:
         """Zero of the time of flight, ns since 1970: as our logs state it, else the first log time."""
-        try:
-            return int(self.metadata["log"]["epoch_ns"])
-        except (KeyError, ValueError):
-            return self.time_range_ns[0]
+        with contextlib.suppress(KeyError, ValueError):
+            stated = int(self.metadata["log"]["epoch_ns"])
+            if 0 <= stated < 2**63:
+                return stated
+        return self.time_range_ns[0]
 
     @property
     def schemas(self) -> dict[str, str]:
@@ -457,8 +459,17 @@ def quaternion(column: np.ndarray) -> np.ndarray:
     return np.stack([column["w"], column["x"], column["y"], column["z"]], axis=-1)
 
 
+def is_stamped(dtype: np.dtype[Any]) -> bool:
+    """Tell whether messages of this type have a header with a stamp in numbers."""
+    for name in ("header", "stamp"):
+        if name not in (dtype.names or ()) or dtype[name].shape:
+            return False
+        dtype = dtype[name]
+    return all(name in (dtype.names or ()) and dtype[name].kind in "iu" for name in ("sec", "nanosec"))
+
+
 def stamps(array: np.ndarray) -> np.ndarray:
-    """(n,) int64, ns since 1970: the header stamps of an array from `read`."""
+    """(n,) int64, ns since 1970: the header stamps of an array from `read` (see `is_stamped`)."""
     stamp = array["header"]["stamp"]
     nanoseconds: np.ndarray = stamp["sec"].astype(np.int64) * 1_000_000_000 + stamp["nanosec"]
     return nanoseconds

@@ -72,7 +72,13 @@ def recover(part: str | Path, output: str | Path, *, force: bool = False) -> Rec
         walk = _Walk(part, source)
         try:
             output.parent.mkdir(parents=True, exist_ok=True)
-            stream = unfinished.open("wb")
+            if force:
+                unfinished.unlink(missing_ok=True)
+            stream = unfinished.open("xb")
+        except FileExistsError:
+            raise InputError(
+                f"{unfinished}: exists already, another recovery may be running; remove it, or overwrite with --force"
+            ) from None
         except OSError as error:
             raise InputError(f"{output}: cannot be created: {error.strerror or error}; choose another place") from None
         try:
