@@ -1,4 +1,4 @@
-"""Other people's attitude filters in the same table: VQF, imufusion, Madgwick, Mahony and EKF of the package `ahrs`.
+"""Other people's attitude filters in the same table: VQF, imufusion, turbo-ckf; Madgwick, Mahony, EKF of `ahrs`.
 
     estimator = estimators.create("vqf", site=site, sensors=sensors, aiding="airspeed")
 
@@ -10,6 +10,7 @@ defaults. They disagree on every convention; this is what each takes and gives:
     madgwick   minus specific force, rad/s           body to magnetic north, east, down
     mahony     specific force, rad/s                 body to east, magnetic north, up
     ahrs-ekf   minus specific force, rad/s           body to true north, east, down (it is given the field)
+    turbo-ckf  minus specific force, rad/s           body to magnetic north, east, down
 
 The declination is applied here, once, to those that know magnetic north only.
 
@@ -421,6 +422,49 @@ class AhrsEkf(_OfAhrs):
         a, b, c, d = self._q
         E = 2.0 * np.array([[-b, -c, -d], [a, -d, c], [d, a, -b], [-c, b, a]])
         return {"att_cov": E.T @ self._filter.P @ E}
+
+
+class TurboCkf(Peer):
+    """The lightweight cubature filter of Yamagishi and Jing (2026) as the package `turbo-ckf` has it.
+
+    A quaternion, propagated with the gyro (their equations 3 to 5), and directions of gravity and field; no gyro bias.
+    The variances of the directions are those of the package's example; of the gyro's it names none. Without a
+    magnetometer it only propagates, as the package has no update without one.
+    """
+
+    SOURCE = "Yamagishi and Jing 2026"
+    NAME, PACKAGE, EARTH = "turbo-ckf", "turbo_ckf", _NED
+    SETTINGS: ClassVar[Mapping[str, Setting]] = {
+        **AIDING,
+        "gyro_sigma": Setting(0.01, "rad/s, of a sample", above=0.0),
+        "accel_sigma": Setting(0.1, "of the direction of gravity", above=0.0),
+        "mag_sigma": Setting(0.1, "of the direction of the field", above=0.0),
+    }
+
+    def start(self, accel_b: np.ndarray, mag_b: np.ndarray) -> None:
+        """Make the filter, its first attitude from the first sample."""
+        self._filter = self._package.TurboCKF(dim_x=4, dim_z=6, dt=1.0 / self.sensors.rate, hx=_unused, fx=_unused)
+        self._filter.x = _from_vectors(-accel_b, mag_b)
+        self._filter.P = 0.1 * np.eye(4)
+
+    def feed(self, dt: np.ndarray, gyro_b: np.ndarray, accel_b: np.ndarray, mag_b: np.ndarray) -> dict[str, np.ndarray]:
+        """Run rows through the filter."""
+        package, ckf, q = self._package, self._filter, np.empty((len(dt), 4))
+        variances = [self.number(name) ** 2 for name in ("gyro_sigma", "accel_sigma", "mag_sigma")]
+        magnetic = bool(np.isfinite(mag_b[0, 0]))
+        for k in range(len(dt)):
+            ckf.Q = package.process_noise_from_quaternion(ckf.x, float(dt[k]), variances[0])
+            ckf.predict_linear_model(package.transition_matrix_from_gyro(gyro_b[k], float(dt[k])))
+            if magnetic and accel_b[k].any():
+                ckf.update_paper_ahrs(np.concatenate([-accel_b[k], 1e6 * mag_b[k]]), variances[1], variances[2])
+            ckf.normalize_state_quaternion()
+            q[k] = ckf.x
+        return {"q": q}
+
+
+def _unused(points: np.ndarray) -> np.ndarray:
+    """Stand in for the functions that TurboCKF wants and its AHRS path does not call."""
+    return points
 
 
 def _product(p: np.ndarray, q: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from ahrs_sim.evaluation.accuracy import Accuracy
 SCENARIOS, SUITES = ("turns", "circuit"), ("chr", "sbg")
 START, OUTAGE, OUTAGE_S = 80.0, 240.0, 60.0
 WORST = 1.6
-PEERS = ("vqf", "imufusion", "madgwick", "mahony", "ahrs-ekf")
+PEERS = ("vqf", "imufusion", "madgwick", "mahony", "ahrs-ekf", "turbo-ckf")
 
 # key: what it is, settings, goals by suite (tilt, heading; deg), bounds of NEES and NIS
 ROWS: dict[str, tuple[str, dict[str, Any], tuple[tuple[float, float], ...], tuple[float, float]]] = {

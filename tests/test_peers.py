@@ -14,7 +14,7 @@ G = 9.80665
 DECLINATION = math.radians(12)
 SITE = Site((0.76, 0.03, 150.0), G, (2.2e-5 * math.cos(DECLINATION), 2.2e-5 * math.sin(DECLINATION), 4.2e-5))
 SENSORS = SensorInfo(rate=50.0)
-PEERS = [peers.Vqf, peers.Imufusion, peers.Madgwick, peers.Mahony, peers.AhrsEkf]
+PEERS = [peers.Vqf, peers.Imufusion, peers.Madgwick, peers.Mahony, peers.AhrsEkf, peers.TurboCkf]
 
 
 @pytest.fixture(params=PEERS, ids=lambda peer: peer.NAME)
@@ -93,7 +93,7 @@ def test_slow_rotation(peer, rate):
 
 
 def test_gyro_bias_has_our_sign(peer):
-    if peer is peers.Madgwick or peer is peers.AhrsEkf:
+    if peer in (peers.Madgwick, peers.AhrsEkf, peers.TurboCkf):
         pytest.skip(f"{peer.NAME} estimates no gyro bias")
     bias = np.radians([0.3, -0.2, 0.4])
     _, samples = motion(quaternion(0.1, 0.2, 0.5), [0, 0, 0], 60)

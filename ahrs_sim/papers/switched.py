@@ -28,12 +28,23 @@ _SUITE = {
     "gyro": {"turn_on_bias_dps": 0.0},
 }
 _FAULTS = [{"sensor": "gyro", "kind": "bias", "at_s": 0.0, "size_dps": [*BIAS, 0.0]}]
+IMPLIED = {"speed_mps": 5.0, "swing_mps": 0.8}
+"""The drive that the paper's own Fig. 5 allows: see `_DRIVE`."""
+_PAPER = {"SEKF": (0.130, 0.141, 0.5), "EKF": (0.440, 0.876, 4.0)}
+"""deg: standard deviation of pitch and roll (Table 1), largest error (Fig. 6 and 5)."""
+
 _METHODS = {"SEKF": "sekf", "EKF": "tilt-ekf"}
 
 _MAX = (
     "How far the plain filter is thrown depends on how much it believes the accelerometer, of which the paper prints "
     "nothing, nor the speed of the car: with sigma 0.2 g instead of our 0.05 g (below) it is thrown less than half as "
     "far. That it is thrown in every bend, and the switched one is not, does not depend on it."
+)
+_DRIVE = (
+    "The paper's plain EKF errs by 4 deg at most. Believing the accelerometer fully that is 0.69 m/s2, in the bends of "
+    "a running track (radius 36.5 m) a speed of 5 m/s. So it was driven; the bias is taken at rest, median of the "
+    "drives. The paper had one drive and one unit: the row below has the range of ours, which differ by their units' "
+    "errors."
 )
 _TRADE = (
     "What the switch lets through: a forward acceleration of 1 m/s2 turns gravity by 6 deg and changes |f| by 0.5 % "
@@ -89,6 +100,25 @@ def interrupted(measured: Measured, on: float = 10.5, off: float = 12.5) -> Meas
     return replace(measured, samples=replace(said, accel_b=accel_b))
 
 
+def _implied(runs: int) -> list[Claim]:
+    """Table 1 and the largest errors at the speed that Fig. 5 implies."""
+    drives = [measure(drive(seed, **IMPLIED), _SUITE, seed, _FAULTS) for seed in range(1, runs + 1)]
+    claims = []
+    for name, method in _METHODS.items():
+        found = [errors(d, method, bias_start="aligned")[0] for d in drives]
+        each = np.array([[*e.std(axis=0), np.abs(e).max()] for e in found])
+        median = np.median(each, axis=0)
+        for what, paper, ours in zip(
+            ("std of pitch", "std of roll", "largest error"), _PAPER[name], median, strict=True
+        ):
+            claims.append(_claim(f"5 +- 0.8 m/s, {name}: {what}", paper, float(ours), _DRIVE, runs))
+        low, high = (words(row.tolist()) for row in (each.min(axis=0), each.max(axis=0)))
+        claims.append(
+            Claim(f"  least, most of the drives, {name}", None, f"{low}, {high}", "deg", reason=_DRIVE, runs=runs)
+        )
+    return claims
+
+
 def reproduce(quick: bool = False) -> Reproduction:
     """Table 1, the figures' largest errors and the biases; how much depends on the thresholds."""
     runs = 2 if quick else RUNS
@@ -96,14 +126,13 @@ def reproduce(quick: bool = False) -> Reproduction:
     found = {name: [errors(drive, method) for drive in drives] for name, method in _METHODS.items()}
     std = {name: np.sqrt(np.mean([e.var(axis=0) for e, _ in rows], axis=0)) for name, rows in found.items()}
     worst = {name: max(float(np.abs(e).max()) for e, _ in rows) for name, rows in found.items()}
-    claims = []
-    paper = {"SEKF": (0.130, 0.141), "EKF": (0.440, 0.876)}
-    for name, figures in paper.items():
-        for axis, figure, ours in zip(("pitch", "roll"), figures, std[name], strict=True):
+    claims = _implied(runs)
+    for name, figures in _PAPER.items():
+        for axis, figure, ours in zip(("pitch", "roll"), figures[:2], std[name], strict=True):
             why = _TRADE if name == "SEKF" else _MAX
-            claims.append(_claim(f"Table 1, {name}: std of {axis}", figure, float(ours), why, runs))
-    claims.append(_claim("Fig. 6, SEKF: largest error", 0.5, worst["SEKF"], _TRADE, runs))
-    claims.append(_claim("Fig. 5, EKF: largest error", 4.0, worst["EKF"], _MAX, runs))
+            claims.append(_claim(f"8 +- 3 m/s, Table 1, {name}: std of {axis}", figure, float(ours), why, runs))
+    claims.append(_claim("8 +- 3 m/s, Fig. 6, SEKF: largest error", 0.5, worst["SEKF"], _TRADE, runs))
+    claims.append(_claim("8 +- 3 m/s, Fig. 5, EKF: largest error", 4.0, worst["EKF"], _MAX, runs))
     ratio = float(np.linalg.norm(std["EKF"]) / np.linalg.norm(std["SEKF"]))
     printed = math.hypot(0.440, 0.876) / math.hypot(0.130, 0.141)
     claims.append(
@@ -135,7 +164,8 @@ def reproduce(quick: bool = False) -> Reproduction:
         title="Switched EKF without heading: gravity only while nothing else accelerates",
         source="Paper 004: Yao, attitude estimation based on switched extended Kalman filter, 2012 (in Chinese)",
         conditions=(
-            f"Laps of a 400 m track at 8 +- 3 m/s, {LENGTH:g} s after {STILL:g} s of standing; IMU of a road vehicle's "
+            f"Laps of a 400 m track at 5 +- 0.8 m/s (implied, see [1]) and at 8 +- 3 m/s, {LENGTH:g} s after "
+            f"{STILL:g} s of standing; IMU of a road vehicle's "
             "grade (a stand-in: the paper's has no public data sheet), gyro bias x -0.0818, y 0.0529 deg/s from the "
             "beginning and unknown to the filters. Both filters learn the bias, judged against what the gyro had on "
             "average; defaults: a = 2 deg/s, b = 0.01 g. "

@@ -7,7 +7,7 @@ import pytest
 from ahrs_sim import papers
 from ahrs_sim.errors import InputError
 from ahrs_sim.papers import Claim, Reproduction, Verdict, judge
-from ahrs_sim.papers.emitter import Experiment, bound, heading_cost, locate_all, time_below
+from ahrs_sim.papers.emitter import Experiment, bound, bound_times, heading_cost, locate_all, time_below
 from estimators.models.emitter import Emitter, look, look_noise
 
 RUNS = 40
@@ -65,6 +65,15 @@ def test_rms_is_not_below_the_bound(measured):
     rms = locate_all(experiment, RUNS).rms()
     margin = 1 - 3 / math.sqrt(4 * RUNS)  # three sigma of an RMS of so many runs, two axes each
     assert np.all(rms >= margin * bound(experiment))
+
+
+def test_phase_alone_needs_the_rate_of_its_first_look():
+    """The paper's 30, 33, 34 s lie below the bound even for a perfect own ship, if no look has a phase rate."""
+    noise = [(phase, 0.5) for phase in (10.0, 20.0, 30.0, 40.0)]
+    assert bound_times("phase", noise) == [26.0, 31.5, 35.5, 38.5]
+    assert bound_times("phase", noise, own_ship=False) == [19.5, 23.5, 26.5, 29.0]
+    assert bound_times("phase", noise, rate_looks=0) == [27.5, 34.5, 40.5, 45.0]
+    assert bound_times("phase", noise, own_ship=False, rate_looks=0) == [26.0, 34.0, 40.0, 44.5]
 
 
 def test_locates_in_the_paper_s_time():
