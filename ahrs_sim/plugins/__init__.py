@@ -1,7 +1,7 @@
 """Estimators from outside: shared libraries in C or C++, FMUs, and Python classes of the user's own.
 
 layout          the structures of `interface/ahrs_estimator.h` as NumPy records
-library         LibraryEstimator: a shared library, run by `host` in a process of its own
+library         LibraryEstimator, FmuEstimator: run by `host` and `fmu_host` in processes of their own
 border          Guarded: what estimates from outside must be; a failure ends that estimator alone
 templates/      what `ahrs-sim new estimator` writes
 """
@@ -16,9 +16,9 @@ from ahrs_sim.errors import InputError
 from ahrs_sim.plugins.border import Guarded, Processes
 from estimators import SensorInfo, Site
 
-__all__ = ["LIBRARY", "Guarded", "Processes", "create", "failures", "located"]
+__all__ = ["FMU", "LIBRARY", "Guarded", "Processes", "create", "failures", "located"]
 
-LIBRARY = "lib:"
+LIBRARY, FMU = "lib:", "fmu:"
 
 
 def create(
@@ -28,7 +28,7 @@ def create(
 
     Args:
         name: of the estimator, for events.
-        method: `lib:PATH`, `package.module:Class`, or `PATH.py:Class`.
+        method: `lib:PATH`, `fmu:PATH`, `package.module:Class`, or `PATH.py:Class`.
         folder: of the file that names it: paths are relative to it, or to the current folder, and modules are found
             there when no installed package has their name.
         site: place and field.
@@ -39,11 +39,12 @@ def create(
         InputError: a library that cannot be used.
         SettingError: a class that cannot be used.
     """
-    if method.startswith(LIBRARY):
-        from ahrs_sim.plugins.library import LibraryEstimator
+    if method.startswith((LIBRARY, FMU)):
+        from ahrs_sim.plugins.library import FmuEstimator, LibraryEstimator
 
-        path = located(method.removeprefix(LIBRARY), folder)
-        return Guarded(name, LibraryEstimator(path, site=site, sensors=sensors, **settings))
+        hosted = LibraryEstimator if method.startswith(LIBRARY) else FmuEstimator
+        path = located(method.partition(":")[2], folder)
+        return Guarded(name, hosted(path, site=site, sensors=sensors, **settings))
     module = _importable(method, folder)
     return Guarded(name, estimators.create(module, site=site, sensors=sensors, **settings))
 

@@ -1,6 +1,6 @@
 """The process in which a plug-in library runs: started by `ahrs_sim.plugins.library`, needs the standard library only.
 
-    python host.py LIBRARY MEMORY_FD COMMAND_FD ANSWER_FD ROWS SAMPLE_SIZE ESTIMATE_SIZE VERSION
+    python host.py LIBRARY MEMORY_FD COMMAND_FD ANSWER_FD ROWS SAMPLE_SIZE VERSION
 
 Samples lie in shared memory, `ROWS` of them, then as many estimates. A command is eight bytes, a word of four letters
 and a number; each is answered by a line of JSON, `{}` or `{"error": text}`.
@@ -51,56 +51,77 @@ def load(path: str, version: int) -> ctypes.CDLL:
     return library
 
 
-def explained(library: ctypes.CDLL, estimator: int | None, otherwise: str) -> str:
-    """What the library says of its last error, on one line."""
-    text = (library.ahrs_error(estimator) or b"").decode(errors="replace").strip()
-    return " ".join(text.split()) or otherwise
+class Library:
+    """A loaded library and its one estimator.
+
+    Args:
+        path: the shared library.
+        version: of the interface that it must have.
+        base: address of the shared memory, where the samples lie.
+        estimates: address of the estimates.
+    """
+
+    def __init__(self, path: str, version: int, base: int, estimates: int) -> None:
+        self._library, self._base, self._estimates = load(path, version), base, estimates
+        self._estimator: int | None = None
+
+    def make(self, site: int, sensors: int, settings: int) -> str:
+        """Create the estimator from what lies at these offsets of the memory; return an error or ""."""
+        base = self._base
+        self._estimator = self._library.ahrs_create(base + site, base + sensors, ctypes.string_at(base + settings))
+        return "" if self._estimator else self._explained("ahrs_create returned NULL and no reason")
+
+    def rows(self, n: int) -> str:
+        """Estimate `n` rows; return an error or ""."""
+        code = self._library.ahrs_process(self._estimator, self._base, n, self._estimates)
+        return self._explained(f"ahrs_process returned {code} and no reason") if code else ""
+
+    def reset(self) -> str:
+        """Forget everything seen."""
+        self._library.ahrs_reset(self._estimator)
+        return ""
+
+    def end(self) -> None:
+        """End the estimator."""
+        self._library.ahrs_destroy(self._estimator)
+
+    def _explained(self, otherwise: str) -> str:
+        text = (self._library.ahrs_error(self._estimator) or b"").decode(errors="replace")
+        return " ".join(text.split()) or otherwise
 
 
-def serve(
-    library: ctypes.CDLL, memory: mmap.mmap, commands: int, answers: int, rows: int, sizes: tuple[int, int]
-) -> None:
-    """Answer commands until the other side ends."""
-    base = ctypes.addressof(ctypes.c_char.from_buffer(memory))
-    samples, estimates = base, base + rows * sizes[0]
-    estimator: int | None = None
+def serve(made, memory: mmap.mmap, commands: int, answers: int) -> None:  # type: ignore[no-untyped-def]
+    """Answer commands with an object like `Library` until the other side ends."""
     while len(command := os.read(commands, _COMMAND.size)) == _COMMAND.size:
         word, number = _COMMAND.unpack(command)
-        error = ""
-        if word == b"make":  # site, sensors and settings lie where the samples will
-            site, sensors, settings = struct.unpack_from("<III", memory)
-            estimator = library.ahrs_create(base + site, base + sensors, ctypes.string_at(base + settings))
-            if not estimator:
-                error = explained(library, None, "ahrs_create returned NULL and no reason")
-        elif word == b"rows":
-            code = library.ahrs_process(estimator, samples, number, estimates)
-            if code:
-                error = explained(library, estimator, f"ahrs_process returned {code} and no reason")
-        elif word == b"zero":
-            library.ahrs_reset(estimator)
-        elif word == b"stop":
-            library.ahrs_destroy(estimator)
+        if word == b"stop":
+            made.end()
             return
+        if word == b"make":  # offsets of site, sensors and settings lie where the samples will
+            error = made.make(*struct.unpack_from("<III", memory))
+        else:
+            error = made.rows(number) if word == b"rows" else made.reset()
         os.write(answers, json.dumps({"error": error} if error else {}).encode() + b"\n")
 
 
-def main() -> None:
-    """Run the plug-in named by the arguments."""
+def start(make) -> None:  # type: ignore[no-untyped-def]
+    """Serve what `make(path, version, base, estimates, rows)` loads, with the arguments of this process."""
     path, *numbers = sys.argv[1:]
-    memory_fd, commands, answers, rows, sample, estimate, version = map(int, numbers)
+    memory_fd, commands, answers, rows, sample, version = map(int, numbers)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the flight, which then ends this process
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: no orphan that hangs
     memory = mmap.mmap(memory_fd, 0)
+    base = ctypes.addressof(ctypes.c_char.from_buffer(memory))
     try:
-        library = load(path, version)
+        made = make(path, version, base, base + rows * sample, rows)
     except Refused as refused:
         os.write(answers, json.dumps({"error": str(refused)}).encode() + b"\n")
         return
     os.write(answers, b"{}\n")
-    serve(library, memory, commands, answers, rows, (sample, estimate))
+    serve(made, memory, commands, answers)
     os._exit(0)  # a library's own clean-up may crash; everything has been answered
 
 
 if __name__ == "__main__":
-    main()
+    start(lambda path, version, base, estimates, rows: Library(path, version, base, estimates))

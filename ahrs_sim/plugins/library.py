@@ -1,6 +1,7 @@
-"""An estimator in a shared library with the interface of `ahrs_estimator.h`, run in a process of its own.
+"""Estimators that run in a process of their own: shared libraries behind `ahrs_estimator.h`, and FMUs.
 
-Whatever the library does (crash, hang, exit), the flight goes on: its rows are NaN from then on and `failure` says why.
+Whatever the code there does (crash, hang, exit), the flight goes on: its rows are NaN from then on and `failure` says
+why.
 """
 
 import contextlib
@@ -15,7 +16,7 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -29,19 +30,22 @@ _START_S = 10.0
 _COMMAND = struct.Struct("<4sI")
 
 
-class LibraryEstimator:
-    """An estimator behind `ahrs_estimator.h`.
+class HostedEstimator:
+    """An estimator in a process of its own.
 
     Args:
-        path: the shared library.
+        path: of what the host loads.
         site: place and field.
         sensors: data sheet figures.
         time_limit_s: longest wait for one block, s; then the library counts as hung.
         settings: passed to the library as text, one `name=value` a line.
 
     Raises:
-        InputError: not a library of this machine, a function missing, another version, or a refused setting.
+        InputError: it cannot be loaded here, or refuses a setting: why.
     """
+
+    host: ClassVar[tuple[str, ...]]
+    """Arguments of the interpreter that start the process."""
 
     def __init__(
         self, path: Path, *, site: Site, sensors: SensorInfo, time_limit_s: float = 10.0, **settings: Any
@@ -53,7 +57,7 @@ class LibraryEstimator:
 
     def _start(self) -> None:
         if not self._path.is_file():
-            raise InputError(f"{self._path}: no such library")
+            raise InputError(f"{self._path}: no such file")
         size = _ROWS * (layout.SAMPLE.itemsize + layout.ESTIMATE.itemsize)
         memory_fd = _anonymous_file(size)
         self._memory = mmap.mmap(memory_fd, size)
@@ -62,9 +66,9 @@ class LibraryEstimator:
         self._samples, self._estimates = whole[:split].view(layout.SAMPLE), whole[split:].view(layout.ESTIMATE)
         command_read, self._command = os.pipe()
         self._answer, answer_write = os.pipe()
-        numbers = (memory_fd, command_read, answer_write, _ROWS, layout.SAMPLE.itemsize, layout.ESTIMATE.itemsize)
+        numbers = (memory_fd, command_read, answer_write, _ROWS, layout.SAMPLE.itemsize, layout.VERSION)
         self._process = subprocess.Popen(
-            [sys.executable, "-I", "-S", _HOST, str(self._path.resolve()), *map(str, (*numbers, layout.VERSION))],
+            [sys.executable, *self.host, str(self._path.resolve()), *map(str, numbers)],
             pass_fds=(memory_fd, command_read, answer_write),
             stdin=subprocess.DEVNULL,
             stdout=sys.stderr.fileno() if _is_real(sys.stderr) else subprocess.DEVNULL,
@@ -164,6 +168,25 @@ class LibraryEstimator:
         self.close()
 
 
+class LibraryEstimator(HostedEstimator):
+    """A shared library behind `ahrs_estimator.h`."""
+
+    host = ("-I", "-S", _HOST)  # needs nothing installed, and starts in a hundredth of a second
+
+
+class FmuEstimator(HostedEstimator):
+    """A co-simulation unit (FMI 2.0 or 3.0) whose variables are mapped by name: see `fmu_host`."""
+
+    host = ("-m", "ahrs_sim.plugins.fmu_host")
+
+    def __init__(self, path: Path, **known: Any) -> None:
+        from importlib.util import find_spec
+
+        if find_spec("fmpy") is None:
+            raise InputError(f"{path}: an FMU needs FMPy; pip install 'ahrs-sim[fmu]'")
+        super().__init__(path, **known)
+
+
 def _anonymous_file(size: int) -> int:
     """A file of `size` bytes of zeros that nobody else can open."""
     if hasattr(os, "memfd_create"):
@@ -188,6 +211,10 @@ def _text(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def settings_text(settings: Mapping[str, Any]) -> str:
-    """The settings as a library receives them."""
-    return "".join(f"{name}={_text(value)}\n" for name, value in settings.items())
+def settings_text(settings: Mapping[str, Any], prefix: str = "") -> str:
+    """The settings as a library receives them; those of a table within are named `table.key`."""
+    lines = ""
+    for name, value in settings.items():
+        inside = isinstance(value, Mapping)
+        lines += settings_text(value, f"{prefix}{name}.") if inside else f"{prefix}{name}={_text(value)}\n"
+    return lines
