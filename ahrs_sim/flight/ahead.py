@@ -6,7 +6,9 @@ Python's lock, so two processes halve the wait. Only for flights that nothing is
 
 import contextlib
 import multiprocessing
+import os
 import signal
+import threading
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -20,8 +22,25 @@ from estimators.types import blank
 DONE = "done"
 
 
+def end_with_parent() -> None:
+    """Have this process of `multiprocessing` end with the one that started it, however that ended.
+
+    A worker that waits for work on a pipe which its brothers hold open, too, would wait for ever.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, name="end with parent", daemon=True).start()
+
+
 def _fly(scenario: Scenario, rows: int, pipe: Connection) -> None:
     """The other process: what the flight is, then its blocks; the pipe's own size keeps it from running away."""
+    end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the user's Ctrl-C is for the process that writes the log
     with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # nobody listens any more: killed, or stopped
         try:

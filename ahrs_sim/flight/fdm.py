@@ -13,6 +13,7 @@ from pathlib import Path
 import jsbsim
 
 from ahrs_sim.errors import InputError, nearest
+from ahrs_sim.flight.model_files import check_model
 from ahrs_sim.scenario.shipped import aircraft_dir
 
 
@@ -63,6 +64,7 @@ class Fdm:
                 raise InputError(f"{where}: aircraft: '{name}' is unknown{nearest(name, known)}")
             path = known[name] / f"{name}.xml"
         else:
+            check_model(path, library_dir(), where)
             self._roots[path.parent] = f"aircraft/{path.parent.name}"
         inside = path.parent.name == path.stem
         self.exec.set_aircraft_path(str(path.parent.parent if inside else path.parent))

@@ -70,6 +70,7 @@ class Live:
         try:
             self._server = self._foxglove.start_server(
                 name="ahrs-sim",
+                host="127.0.0.1",  # nobody but this machine
                 port=self.port,
                 capabilities=[self._foxglove.Capability.Time],
                 context=self._context,

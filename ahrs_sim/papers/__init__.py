@@ -17,6 +17,7 @@ from enum import StrEnum
 from typing import Any
 
 from ahrs_sim.errors import InputError, nearest
+from ahrs_sim.flight.ahead import end_with_parent
 
 _PAPERS = {
     "cubature": "Cubature Kalman filter for aircraft attitude, beside EKF and CDKF",
@@ -154,7 +155,8 @@ def run_all(chosen: Sequence[str], quick: bool = False, workers: int = 2) -> Ite
     if len(chosen) < 2 or workers < 2:
         yield from (run(name, quick) for name in chosen)
         return
-    with futures.ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+    context = multiprocessing.get_context("spawn")
+    with futures.ProcessPoolExecutor(workers, mp_context=context, initializer=end_with_parent) as pool:
         yield from pool.map(run, chosen, [quick] * len(chosen))
 
 

@@ -22,6 +22,7 @@ from typing import Any
 
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.errors import AhrsSimError, FlightError, InputError
+from ahrs_sim.flight.ahead import end_with_parent
 from ahrs_sim.scenario import Scenario
 
 ATTEMPTS = 3
@@ -145,6 +146,7 @@ def _start() -> None:
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
     from ahrs_sim import pipeline
     from ahrs_sim.review import compare
 
