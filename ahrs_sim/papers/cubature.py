@@ -168,9 +168,13 @@ def from_nothing(
         good = 0
         for unit in units:
             estimator = unit.create(f"marg-{name}", initialisation="paper", noise=noise)
+            rest = unit.samples[skip:]
             if bias_variance is not None:
+                while estimator.state()["carry"] is None:  # R and Q are being measured
+                    estimator.process(rest[:1])
+                    rest = rest[1:]
                 _bias_variance(estimator, bias_variance)
-            last = unit.errors(estimator.process(unit.samples[skip:]))[-200:, 4]
+            last = unit.errors(estimator.process(rest))[-200:, 4]
             good += bool(np.isfinite(last).all() and rms(last) < 5.0)
         found[name] = good
     return found
