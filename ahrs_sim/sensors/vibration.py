@@ -1,8 +1,8 @@
 """Motor vibration as a sensor samples it: a line at the shaft's rate, its harmonics and a band of noise.
 
-Amplitudes grow with the square of the speed (unbalance). The lines are evaluated at the sampling instants, weakened by
-the analogue low-pass at their true frequency, so that what lies above half the sampling rate folds down as it really
-does.
+Amplitudes grow with the square of the speed (unbalance), but a running motor shakes by a share of them however slowly
+it turns: at idle a piston engine rocks on its mount. The lines are evaluated at the sampling instants, weakened by the
+analogue low-pass at their true frequency, so that what lies above half the sampling rate folds down as it really does.
 """
 
 import math
@@ -22,6 +22,7 @@ class MotorFigures:
 
     reference: float = figure("revolutions", 6000.0, minimum=1.0)  # speed at which amplitudes are stated
     harmonics: np.ndarray = figure("number", 0.0, size=3, minimum=0.0)  # relative amplitudes at 1, 2, 3 x shaft rate
+    idle: float = figure("fraction", minimum=0.0)  # least share of the amplitudes while it turns
 
 
 class Vibration:
@@ -53,7 +54,7 @@ class Vibration:
         # Mean square at the reference speed of what shakes the accelerometer, ahead of its low-pass.
         self._power = float(0.5 * np.sum(lines[:, 3:] ** 2) + np.sum(accel.vibration_band**2))
         self._state = np.zeros(1)
-        self._numbers = (motor.reference, float(cutoffs[0]), float(cutoffs[1]), fitting.dt, every)
+        self._numbers = (motor.reference, motor.idle, float(cutoffs[0]), float(cutoffs[1]), fitting.dt, every)
         self._rng = rng
         self._silent = not (lines.any() or self._band.any())
 
@@ -69,8 +70,8 @@ class Vibration:
 
 @njit
 def _vibrate(
-    rpm: np.ndarray, first: int, reference: float, gyro_cutoff: float, accel_cutoff: float, dt: float, every: int,
-    in_phase: np.ndarray, in_quadrature: np.ndarray, band: np.ndarray, power: float, draws: np.ndarray,
+    rpm: np.ndarray, first: int, reference: float, idle: float, gyro_cutoff: float, accel_cutoff: float, dt: float,
+    every: int, in_phase: np.ndarray, in_quadrature: np.ndarray, band: np.ndarray, power: float, draws: np.ndarray,
     state: np.ndarray, out: np.ndarray, square: np.ndarray,
 ) -> None:  # fmt: skip
     """Row h of the amplitudes (3, 6) belongs to harmonic h + 1; `state` is the shaft's angle, rad."""
@@ -84,7 +85,7 @@ def _vibrate(
         if i != first + m * every or m >= out.shape[0]:
             continue
         if speed > 0.0:
-            level = (speed / reference) ** 2
+            level = max((speed / reference) ** 2, idle)
             square[m] = level * level * power
             for k in range(6):
                 out[m, k] = level * band[k] * draws[m, k]

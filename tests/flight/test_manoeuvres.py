@@ -78,6 +78,17 @@ def test_every_manoeuvre_has_a_time_out_and_a_duration():
 # -- flying
 
 
+def test_run_up_on_the_brakes():
+    run = {"do": "run_up", "throttle": 0.5, "for_s": 6.0}
+    flown = Flown(make(step=[{"do": "wait", "for_s": 2.0}, run, {"do": "wait", "for_s": 3.0}]))
+    assert flown.error is None
+    up, truth = flown.during(2), flown.truth
+    assert truth.rpm[up][-1] > 3500.0 and truth.rpm[-1] < 1000.0
+    assert np.abs(truth.vel_n).max() < 0.1 and truth.on_ground.all()
+    fast = Flown(make(step=[{**run, "throttle": 1.0}]))
+    assert fast.error is not None and "brakes do not hold throttle 1" in fast.error
+
+
 @pytest.mark.parametrize("through", [360.0, -180.0, 90.0])
 def test_turn_holds_its_bank_and_ends_on_its_heading(through):
     flown = fly({"do": "turn", "bank_deg": 30.0, "through_deg": through}, {"do": "straight", "for_s": 6.0})

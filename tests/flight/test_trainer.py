@@ -404,3 +404,35 @@ def test_crash_is_seen(initial):
     assert run["crashed"][-1] == 1
     assert all(np.isfinite(values).all() for values in run.values())
     trainer.ap(crashed=0)
+
+
+def test_the_motor_does_what_its_file_says():
+    """Balance of torque at full throttle, standing: DC motor (Kv, R, I0) against CP rho n^2 D^5 / 2 pi."""
+    text = (aircraft_dir() / "trainer" / "Engines" / "motor.xml").read_text(encoding="utf-8")
+    volts, kv, ohm, idle = (
+        float(re.search(rf"<{name}>\s*([\d.]+)", text)[1])
+        for name in ("maxvolts", "velocityconstant", "coilresistance", "noloadcurrent")
+    )
+    rho, diameter, ct, cp = 1.225, 18 * 0.0254, 0.0836, 0.0250
+    low, high = 0.0, volts * kv / 60.0  # turns per second
+    for _ in range(60):
+        n = 0.5 * (low + high)
+        current = (volts - 60.0 * n / kv) / ohm
+        spare = 60.0 / (2.0 * math.pi * kv) * (current - idle) - cp * rho * n**2 * diameter**5 / (2.0 * math.pi)
+        low, high = (n, high) if spare > 0.0 else (low, n)
+    shaft, battery = cp * rho * n**3 * diameter**5, volts * current
+    assert (60.0 * n, shaft, battery / MASS) == pytest.approx((7450.0, 1170.0, 226.0), rel=0.02)
+    assert ct * rho * n**2 * diameter**4 / (MASS * G) == pytest.approx(1.17, rel=0.02)
+    assert "7450 rpm, 1.17 kW" in text and "226 W/kg" in text
+    trainer = Trainer()
+    trainer.ap(motor_on=1, throttle_cmd_norm=1.0)
+    assert trainer.fly(3)["rpm"][-1] == pytest.approx(60.0 * n, rel=0.02)
+
+
+def test_descents_begin_without_a_push_to_weightlessness():
+    trainer = cruising(22.0)
+    trainer.ap(altitude_cmd_m=HEIGHT - 20.0)
+    assert -trainer.fly(4)["fz"].max() / G > 0.5
+    trainer = cruising(15.0)
+    trainer.ap(phase=2, glide_angle_rad=6 * DEG)
+    assert -trainer.fly(4)["fz"].max() / G > 0.5

@@ -45,6 +45,36 @@ class Takeoff(Manoeuvre):
         return f"at {state.height:.0f} of {self.height:.0f} m, {state.airspeed:.1f} m/s"
 
 
+class RunUp(Manoeuvre):
+    """Run the motor up on the brakes: at `throttle` (0.5) for `for_s` (10), then back to idle."""
+
+    name = "run_up"
+    in_flight = False
+
+    def read(self, table: Table) -> None:
+        self.throttle = table.number("throttle", 0.5, above=0.0, maximum=1.0)
+        self.duration = table.number("for_s", 10.0, above=0.0)
+
+    def expected(self) -> float:
+        return self.duration
+
+    def begin(self, ap: Autopilot, state: State) -> None:
+        if not state.on_ground:
+            raise Failure("the aircraft is in the air; leave this step out")
+        self.end = state.t + self.duration
+        ap.park()
+        ap.set("motor-on", 1)
+        ap.throttle(self.throttle)
+
+    def step(self, ap: Autopilot, state: State) -> bool:
+        if state.ground_speed > 0.5:
+            raise Failure(f"the brakes do not hold throttle {self.throttle:g}; take less")
+        if state.t < self.end - 1e-6:
+            return False
+        ap.throttle(0.0)
+        return True
+
+
 class Approach(Manoeuvre):
     """Fly back to the runway of the start, line up, and come down the glide path until `to_height_m` (12).
 
