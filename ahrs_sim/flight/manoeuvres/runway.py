@@ -10,7 +10,7 @@ from ahrs_sim.scenario.table import Table
 
 
 class Takeoff(Manoeuvre):
-    """Take off along the heading at the start and climb straight ahead to `to_height_m` (30; others: by their speed)."""
+    """Take off along the heading at the start, climb straight ahead to `to_height_m` (30; others: by their speed)."""
 
     name = "takeoff"
     in_flight = False
