@@ -86,7 +86,7 @@ def picture(log: Path) -> None:
     tilt.set_ylim(0.02, 90)
     tilt.set_xlabel("time, s")
     roll.sharex(tilt)
-    roll.legend(loc="upper right", fontsize=8, ncols=2)
+    figure.legend(*roll.get_legend_handles_labels(), loc="outside upper left", fontsize=8, ncols=4)
     north = (truth.lla[:, 0] - truth.lla[0, 0]) * 6.37e6
     east = (truth.lla[:, 1] - truth.lla[0, 1]) * 6.37e6 * np.cos(truth.lla[0, 0])
     dots = track.scatter(east, north, c=truth.height_agl, s=1, cmap="viridis")

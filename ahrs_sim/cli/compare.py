@@ -30,6 +30,10 @@ def run(arguments: argparse.Namespace) -> None:
     """Print the accuracy of every estimator in every log; draw the report and the figures asked for."""
     from ahrs_sim.review import compare
 
+    if arguments.png:
+        from ahrs_sim.review import figures
+
+        figures.require()  # before anything is computed
     span = {"reference": arguments.reference, "start": arguments.start, "end": arguments.end}
     results = [compare.compare(log, **span, align=arguments.align, sync=arguments.sync) for log in arguments.log]
     texts = [compare.table(result) for result in results]

@@ -2,12 +2,14 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ahrs_sim.errors import InputError
 from ahrs_sim.evaluation import consistency, metrics
+from ahrs_sim.evaluation.phases import PHASES
+from ahrs_sim.review import colors
 from ahrs_sim.review.traces import EstimatorTrace, FlightTraces
 
 if TYPE_CHECKING:
@@ -15,6 +17,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _AXES = metrics.MEASURES[:3]
+_SHADES = ("#e9edf2", "", "#fdebcf", "#e3edfd")
+"""Behind the curves, by phase: ground, straight, turning, transient."""
+
 _POINTS = 2000  # pairs of minimum and maximum a curve: finer than any print
 
 
@@ -24,29 +29,51 @@ def draw(flight: FlightTraces, folder: Path) -> list[Path]:
     Raises:
         InputError: matplotlib is missing, or the folder cannot be used.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise InputError("--png needs matplotlib; pip install 'ahrs-sim[plot]'") from None
-    figures = {
-        "attitude": _attitude(Figure((11, 8), layout="constrained"), flight),
-        "errors": _errors(Figure((11, 8), layout="constrained"), flight),
-        "consistency": _consistency(
-            Figure((15, 2.2 * max(1, len(flight.estimators)) + 0.6), layout="constrained"), flight
-        ),
-        "worst": _worst(Figure((11, 2.2 * max(1, len(flight.estimators)) + 0.6), layout="constrained"), flight),
-        "track": _track(Figure((7, 7), layout="constrained"), flight),
-        "biases": _biases(Figure((11, 8), layout="constrained"), flight),
-    }
+    require()
+    import matplotlib
+    from matplotlib.figure import Figure
+
     written = []
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, figure in figures.items():
-            written.append(folder / f"{flight.label}-{name}.png")
-            figure.savefig(written[-1], dpi=110)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    with matplotlib.rc_context({"axes.prop_cycle": _cycle(len(flight.estimators))}):  # colours are looked up when saved
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            for name, figure in _figures(Figure, flight).items():
+                written.append(folder / f"{flight.label}-{name}.png")
+                figure.savefig(written[-1], dpi=110)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from None
     return written
+
+
+def require() -> None:
+    """Check that figures can be drawn.
+
+    Raises:
+        InputError: matplotlib is missing.
+    """
+    from importlib.util import find_spec
+
+    if find_spec("matplotlib") is None:
+        raise InputError("--png needs matplotlib; pip install 'ahrs-sim[plot]'")
+
+
+def _cycle(estimators: int) -> Any:
+    from cycler import cycler
+
+    return cycler(color=[colors.pair(i)[0] for i in range(max(10, estimators))])
+
+
+def _figures(new: Any, flight: FlightTraces) -> "dict[str, Figure]":
+    return {
+        "attitude": _attitude(new((11, 8), layout="constrained"), flight),
+        "errors": _errors(new((11, 8), layout="constrained"), flight),
+        "consistency": _consistency(
+            new((15, 2.2 * max(1, len(flight.estimators)) + 0.6), layout="constrained"), flight
+        ),
+        "worst": _worst(new((11, 2.2 * max(1, len(flight.estimators)) + 0.6), layout="constrained"), flight),
+        "track": _track(new((7, 7), layout="constrained"), flight),
+        "biases": _biases(new((11, 8), layout="constrained"), flight),
+    }
 
 
 def _thin(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -94,7 +121,7 @@ def _attitude(figure: "Figure", flight: FlightTraces) -> "Figure":
         ax.plot(*_thin(flight.t, truth[:, k]), "k--", linewidth=0.9, label=flight.reference)
         _label(ax, f"{_AXES[k]}, deg")
     _modulo(axes[2])
-    return _finish(figure, axes, f"{flight.label}: attitude")
+    return _finish(figure, flight, axes, f"{flight.label}: attitude")
 
 
 def _errors(figure: "Figure", flight: FlightTraces) -> "Figure":
@@ -105,7 +132,7 @@ def _errors(figure: "Figure", flight: FlightTraces) -> "Figure":
             sigma = 3 * np.degrees(e.sigma[:, k])
             ax.fill_between(e.coarse_t, -sigma, sigma, color=f"C{i}", alpha=0.15, linewidth=0)
         _label(ax, f"{_AXES[k]} error, deg")
-    return _finish(figure, axes, f"{flight.label}: errors, shaded ±3 sigma of the estimators")
+    return _finish(figure, flight, axes, f"{flight.label}: errors, shaded ±3 sigma of the estimators")
 
 
 def _consistency(figure: "Figure", flight: FlightTraces) -> "Figure":
@@ -121,12 +148,14 @@ def _consistency(figure: "Figure", flight: FlightTraces) -> "Figure":
             )
             _label(ax, f"{_AXES[k]} error, deg")
         known = np.where(e.nees > 0.0, e.nees, np.nan)
+        if not np.isfinite(known).any():
+            row[3].text(0.5, 0.5, "claims no covariance", ha="center", va="center", transform=row[3].transAxes)
         row[3].plot(*_thin(e.coarse_t, known), color="C3", linewidth=0.8)
         row[3].axhspan(low, high, color="C0", alpha=0.4, linewidth=0)
         row[3].set_yscale("log")
         _label(row[3], "NEES / 3")
         row[0].set_title(e.name, fontsize=9, loc="left")
-    return _finish(figure, axes.ravel(), f"{flight.label}: errors in ±3 sigma, NEES in its 95 % bounds")
+    return _finish(figure, flight, axes.ravel(), f"{flight.label}: errors in ±3 sigma, NEES in its 95 % bounds")
 
 
 def _worst(figure: "Figure", flight: FlightTraces) -> "Figure":
@@ -150,7 +179,7 @@ def _worst(figure: "Figure", flight: FlightTraces) -> "Figure":
         row[0].set_title(
             f"worst of {judged.name}" + (f": {window.phase}" if window and window.phase else ""), fontsize=9, loc="left"
         )
-    return _finish(figure, axes.ravel(), f"{flight.label}: the worst ten seconds of each estimator")
+    return _finish(figure, flight, axes.ravel(), f"{flight.label}: the worst ten seconds of each estimator")
 
 
 def _track(figure: "Figure", flight: FlightTraces) -> "Figure":
@@ -185,7 +214,21 @@ def _biases(figure: "Figure", flight: FlightTraces) -> "Figure":
                 style = ("k--", "k:", "k-.")[i % 3]
                 ax.plot(suite.t, np.degrees(suite.gyro_bias[:, k]), style, linewidth=1, label=f"{name} truth")
         _label(ax, f"gyro bias {'xyz'[k]}, deg/s")
-    return _finish(figure, axes, f"{flight.label}: gyro biases")
+    return _finish(figure, flight, axes, f"{flight.label}: gyro biases")
+
+
+def _shade(ax: "Axes", flight: FlightTraces) -> None:
+    """Draw the phases of flight behind the curves; straight flight stays white."""
+    if not len(flight.phase) or not ax.axison:
+        return
+    low, high = ax.get_xlim()
+    starts = np.flatnonzero(np.r_[True, np.diff(flight.phase) != 0])
+    ends = np.r_[starts[1:], len(flight.phase) - 1]
+    for a, b in zip(flight.truth_t[starts], flight.truth_t[ends], strict=True):
+        shade = _SHADES[flight.phase[np.searchsorted(flight.truth_t, a)]]
+        if shade and b > low and a < high:
+            ax.axvspan(max(a, low), min(b, high), color=shade, linewidth=0, zorder=0)
+    ax.set_xlim(low, high)
 
 
 def _label(ax: "Axes", text: str) -> None:
@@ -194,11 +237,18 @@ def _label(ax: "Axes", text: str) -> None:
     ax.margins(x=0)
 
 
-def _finish(figure: "Figure", axes: np.ndarray, title: str) -> "Figure":
+def _finish(figure: "Figure", flight: FlightTraces, axes: np.ndarray, title: str) -> "Figure":
     axes[-1].set_xlabel("time, s")
+    for ax in axes:
+        _shade(ax, flight)
     figure.suptitle(title)
     handles, labels = axes[0].get_legend_handles_labels()
     if handles:
+        if len(flight.phase):
+            from matplotlib.patches import Patch
+
+            handles += [Patch(color=_SHADES[k], label=PHASES[k]) for k in np.unique(flight.phase) if _SHADES[k]]
+            labels += [PHASES[k] for k in np.unique(flight.phase) if _SHADES[k]]
         columns = math.ceil(len(handles) / math.ceil(len(handles) / 8))
         figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8)
     return figure

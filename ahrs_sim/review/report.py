@@ -22,8 +22,9 @@ import numpy as np
 
 from ahrs_sim.errors import InputError
 from ahrs_sim.evaluation import accuracy, consistency, metrics, phases
-from ahrs_sim.evaluation.metrics import EULER
+from ahrs_sim.evaluation.metrics import Measure
 from ahrs_sim.evaluation.phases import PHASES
+from ahrs_sim.review import colors
 from ahrs_sim.review.traces import COARSE, EstimatorTrace, FlightTraces, finding
 from estimators.types import Status
 
@@ -74,6 +75,7 @@ def page(flights: Sequence[FlightTraces]) -> str:
         "title": ", ".join(dict.fromkeys(f.metadata.get("flight", {}).get("scenario", f.label) for f in flights)),
         "phases": PHASES,
         "status": [s.name.lower() for s in Status],
+        "colors": [colors.pair(i) for i in range(max(10, sum(len(run["estimators"]) for run in runs)))],
         "runs": runs,
     }
     return _assemble(json.dumps(data, separators=(",", ":"), allow_nan=False), packed)
@@ -126,6 +128,10 @@ def _rate(t: np.ndarray) -> float:
 
 
 # ----------------------------------------------------------------------------------------------- packing
+
+
+_DRAWN = (Measure.ROLL, Measure.PITCH, Measure.HEADING, Measure.TILT)
+"""Errors that the page draws, in the order of its program."""
 
 
 class _Packer:
@@ -292,7 +298,7 @@ def _suite(flight: FlightTraces, name: str, clock: _Clock) -> dict[str, Any]:
 
 def _estimator(flight: FlightTraces, e: EstimatorTrace, clock: _Clock, dt: float) -> dict[str, Any]:
     """What the page knows of an estimator: angles in deg, rates in deg/s."""
-    error = np.degrees(e.error[:, EULER].astype(float))
+    error = np.degrees(e.error[:, _DRAWN].astype(float))
     slow, ct = 1.0, e.coarse_t
     rate = min(COARSE, _rate(ct))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -378,7 +384,7 @@ def _spread(flights: Sequence[FlightTraces], name: str, clock: _Clock, dt: float
     low: list[Any] = []
     high: list[Any] = []
     sigma: list[Any] = []
-    for axis in range(3):
+    for axis in _DRAWN:
         grid = np.array([_gridded(e.t, np.degrees(e.error[:, axis]), clock.t0, dt, n) for e in traces])
         # Angles have no order: each is taken as its distance from the mean direction of all at that time.
         with np.errstate(invalid="ignore"), warnings.catch_warnings():
@@ -389,6 +395,8 @@ def _spread(flights: Sequence[FlightTraces], name: str, clock: _Clock, dt: float
         spread = middle + _percentiles(np.degrees(metrics.wrap(np.radians(grid - middle))))
         for kept, values in zip((low, error, high), spread, strict=True):
             kept.append(clock.packer.add(values, clock.t0, dt, _fine_step(values)))
+        if axis == Measure.TILT:
+            continue  # no estimator claims one
         sigmas = np.array([_gridded(e.coarse_t, np.degrees(e.sigma[:, axis]), clock.t0, dt, n) for e in traces])
         median = _percentiles(sigmas)[1]
         sigma.append(clock.packer.add(median, clock.t0, dt, _relative_step(median)))

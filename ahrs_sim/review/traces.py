@@ -398,20 +398,22 @@ def finding(flight: FlightTraces, trace: EstimatorTrace) -> str:
     phase = f" ({worst.phase})" if worst.phase else ""
     parts = [f"worst from {worst.start:.0f} to {worst.end:.0f} s{phase}: {worst.axis} {_degrees(worst.axis_rms)} wrong"]
     if math.isfinite(worst.sigma):
-        ratio = worst.axis_rms / worst.sigma if worst.sigma > 0 else math.inf
-        word = "overconfident" if ratio > 3 else "as it said" if ratio > 0.3 else "better than it said"
-        parts.append(f" while its sigma was {_degrees(worst.sigma)}: {word}")
+        parts.append(f", claimed uncertainty {_degrees(worst.sigma)} (1 sigma)")
     lost = trace.lost()
     if lost is not None:
         step = flight.step_at(lost)
-        parts.append(
-            f"; first beyond {LOST_DEG:g} deg and three sigma at {lost:.0f} s" + (f", in {step}" if step else "")
-        )
+        own = " and its own 3 sigma" if np.isfinite(trace.sigma).any() else ""
+        parts.append(f"; first exceeded {LOST_DEG:g} deg{own} at {lost:.0f} s" + (f", in {step}" if step else ""))
     rows = (trace.coarse_t >= worst.start) & (trace.coarse_t <= worst.end)
     coasting = np.mean(np.isin(trace.status[rows], [Status.COASTING, Status.DIVERGED])) if rows.any() else 0.0
     if coasting > 0.1:
         parts.append(f"; {100 * coasting:.0f} % of that time without a usable measurement")
-    before = [e for e in flight.events if worst.start - 20 <= e.t <= worst.end and e.name != "pilot"]
+    others = [f"{suite}/" for suite in flight.suites if suite != trace.suite]
+    before = [
+        e
+        for e in flight.events
+        if worst.start - 20 <= e.t <= worst.end and e.name != "pilot" and not any(o in e.text for o in others)
+    ]
     if before:
         parts.append(f"; shortly before: {before[-1].text} ({before[-1].t:.0f} s)")
     if "delay_s" in trace.adjusted:

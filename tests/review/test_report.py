@@ -14,7 +14,8 @@ import pytest
 from ahrs_sim import cli
 from ahrs_sim.errors import InputError
 from ahrs_sim.evaluation import metrics
-from ahrs_sim.review import compare, report
+from ahrs_sim.flight.truth import Event
+from ahrs_sim.review import colors, compare, report
 from ahrs_sim.review.traces import FlightTraces, finding, gather
 
 
@@ -73,7 +74,7 @@ def test_page_has_the_errors_of_the_log(page: str, traces: FlightTraces) -> None
     assert [e["name"] for e in run["estimators"]] == ["ekf-chr", "ekf-sbg"]
     for shown in run["estimators"]:
         trace = traces.estimators[shown["name"]]
-        for k in range(3):
+        for k in range(4):  # roll, pitch, heading, tilt
             ref = shown["error"][k]
             values = series(ref, packed)
             at = np.rint((trace.t - ref["t0"]) / ref["dt"]).astype(int)
@@ -153,7 +154,7 @@ def test_worst_window_and_finding(traces: FlightTraces) -> None:
     assert worst.start == pytest.approx(70, abs=0.2)
     assert wrong.lost() == pytest.approx(70, abs=0.3)
     assert "11 deg wrong" in finding(traces, wrong)
-    assert "first beyond 5 deg" in finding(traces, wrong)
+    assert "first exceeded 5 deg and its own 3 sigma" in finding(traces, wrong)
 
 
 def test_span_and_reference(flown: Path) -> None:
@@ -203,3 +204,25 @@ def test_a_policy_allows_the_page_itself_and_nothing_else(page: str) -> None:
         assert rules[rule].split() == [f"'sha256-{d}'" for d in digests]
         assert len(digests) == 2
     assert not re.search(r"\s(on\w+|style)=", page.partition("<body>")[2].partition("<script")[0])
+
+
+def test_colours_are_distinct_for_a_whole_catalogue() -> None:
+    for ground in (0, 1):
+        assert len({colors.pair(i)[ground] for i in range(60)}) == 60
+
+
+def test_a_finding_names_no_fault_of_another_suite(traces: FlightTraces) -> None:
+    trace = traces.estimators["ekf-chr"]
+    worst = trace.worst(traces)
+    assert worst is not None
+    told = [Event(worst.start, "warning", "fault", f"jamming of {suite}/gnss sets in") for suite in ("chr", "sbg")]
+    assert "chr/gnss" in finding(dataclasses.replace(traces, events=told), trace)
+
+
+def test_a_finding_names_sigma_only_where_there_is_one(traces: FlightTraces) -> None:
+    trace = traces.estimators["ekf-sbg"]
+    error = trace.error.copy()
+    error[trace.t > 60.0, 0] = 0.2
+    silent = dataclasses.replace(trace, error=error, sigma=np.full_like(trace.sigma, np.nan))
+    text = finding(traces, silent)
+    assert "first exceeded 5 deg at" in text and "sigma" not in text

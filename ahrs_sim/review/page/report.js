@@ -4,8 +4,8 @@
   const $ = (id) => document.getElementById(id);
   const data = JSON.parse($("data").textContent);
   const AXES = ["roll", "pitch", "heading"];
-  const LIGHT = ["#2563eb", "#dc2626", "#059669", "#d97706", "#7c3aed", "#0891b2", "#be185d", "#4d7c0f", "#92400e", "#475569"];
-  const DARK = ["#60a5fa", "#f87171", "#34d399", "#fbbf24", "#a78bfa", "#22d3ee", "#f472b6", "#a3e635", "#fb923c", "#94a3b8"];
+  const MEASURES = [...AXES, "tilt"], TILT = 3;
+  const colorOf = (i) => data.colors[i % data.colors.length][root.dataset.theme === "dark" ? 1 : 0];
   const root = document.documentElement;
   const css = (name) => getComputedStyle(root).getPropertyValue(name).trim();
   const element = (tag, properties = {}, ...children) => {
@@ -99,22 +99,27 @@
 
   // ------------------------------------------------------------------------------------------ estimators
 
+  const SHOWN = 10; // at first
+  const run_index = (e) => e.run.estimators.findIndex((x) => x.name === e.name);
+  const compass = (x) => ((x % 360) + 360) % 360;
   const campaign = data.runs[0].kind === "campaign";
   const estimators = data.runs.flatMap((run, r) => run.estimators.map((e) => ({ ...e, run, r })));
   estimators.forEach((e, i) => {
     e.label = data.runs.length > 1 ? `${e.run.label}: ${e.name}` : e.name;
-    e.color = () => (root.dataset.theme === "dark" ? DARK : LIGHT)[i % LIGHT.length];
-    e.shown = i < 10;
+    e.color = () => colorOf(data.runs.length > 1 ? i : run_index(e));
+    e.shown = i < SHOWN;
     e.part = (name) => columns(e[name]);
-    e.attitude = [0, 1, 2].map((k) => { let made; return () => (made ??= k === 2 ? circular(sum(series(e.run.truth.attitude[k]), series(e.error[k]))) : sum(series(e.run.truth.attitude[k]), series(e.error[k]))); });
+    e.attitude = [0, 1, 2].map((k) => { let made; return () => (made ??= k === 2 ? circular(derived(sum(series(e.run.truth.attitude[k]), series(e.error[k])), compass)) : sum(series(e.run.truth.attitude[k]), series(e.error[k]))); });
   });
   const from = Math.min(...data.runs.map((r) => r.from)), to = Math.max(...data.runs.map((r) => r.to));
   let focus = estimators[0], now = from, view = [from, to], playing = false;
   const shown = () => estimators.filter((e) => e.shown);
-  const truthOf = (k) => series(focus.run.truth.attitude[k]);
+  const truthOf = (k, run = focus.run) => {
+    const s = series(run.truth.attitude[k]);
+    return k === 2 && s ? circular((run.heading ??= derived(s, compass))) : s;
+  };
   const banded = (e) => $("bands").checked && (e === focus || shown().length <= 4);
   const wrapped = (x) => ((x % 360) + 540) % 360 - 180;
-  const compass = (x) => ((x % 360) + 360) % 360;
   const digits = (x) => (x == null || !Number.isFinite(x) ? "–" : Math.abs(x) >= 1e5 ? x.toExponential(1).replace("e+", "e") : Math.abs(x) >= 99.95 ? x.toFixed(0) : Math.abs(x) >= 9.995 ? x.toFixed(1) : Math.abs(x) >= 0.0995 ? x.toFixed(2) : x.toPrecision(2));
   const zoomed = () => view[0] > from || view[1] < to;
   const clampView = (a, b) => {
@@ -134,8 +139,8 @@
 
   // One plot. lines(): [{label, color, s, width, dash, mute}]; bands(): [{low, high, color}]; span(): of time.
   class Plot {
-    constructor(parent, { title, unit = "", height = 170, lines, bands = () => [], span = () => view, format = digits, ticks, range, small }) {
-      Object.assign(this, { title, unit, height, lines, bands, span, format, ticks, range, small, dirty: true, visible: false });
+    constructor(parent, { title, unit = "", height = 170, lines, bands = () => [], span = () => view, format = digits, ticks, range, small, robust }) {
+      Object.assign(this, { title, unit, height, lines, bands, span, format, ticks, range, small, robust, dirty: true, visible: false });
       this.head = element("div", { className: "head" });
       this.box = element("div", { className: "plot" }, this.head);
       parent.append(this.box);
@@ -166,9 +171,9 @@
       const opts = {
         width, height: this.height, legend: { show: false }, padding: [6, 8, 0, 0],
         cursor: { y: false, points: { show: false }, drag: { x: true, y: false, setScale: false }, bind: { dblclick: () => () => { setView(from, to); return null; } } },
-        scales: { x: { time: false, range: () => [a, b] }, y: this.range ? { range: this.range } : {} },
+        scales: { x: { time: false, range: () => [a, b] }, y: this.range ? { range: this.range } : this.robust && $("robust").checked ? { range: () => this.limits(a, b) } : {} },
         axes: [
-          { ...axis, size: 22, gap: 2, values: (_, v) => v.map((t) => `${+t.toFixed(2)}`) },
+          { ...axis, size: 22, gap: 2, values: (_, v) => v.map((t) => `${+t.toFixed(2)} s`) },
           { ...axis, size: 56, gap: 4, ...(this.ticks ?? {}) },
         ],
         series: [
@@ -179,6 +184,7 @@
         bands: bands.map((l, i) => ({ series: [1 + this.drawn.length + 2 * i, 2 + this.drawn.length + 2 * i], fill: l.color })),
         hooks: {
           drawClear: [(u) => shade(u)],
+          draw: [(u) => mark(u)],
           ready: [() => setTimeout(() => this.point())],
           setCursor: [(u) => { if (!moving && u.cursor.left >= 0 && u.cursor.event) setNow(u.posToVal(u.cursor.left, "x")); }],
           setSelect: [(u) => {
@@ -190,6 +196,22 @@
       };
       this.u = new uPlot(opts, [g.x, ...all.map((s) => sampled(s, g))], this.box);
       this.caption();
+    }
+
+    // A scale for the estimators that are comparable: one that is far worse than most of them may leave the frame.
+    limits(a, b) {
+      const size = (s, share) => {
+        const from = Math.max(0, Math.floor((a - s.t0) / s.dt)), v = s.v.subarray(from, Math.max(from, Math.ceil((b - s.t0) / s.dt)));
+        const known = Float32Array.from(v.filter(Number.isFinite), Math.abs).sort();
+        return known.length ? known[Math.floor(share * (known.length - 1))] : NaN;
+      };
+      const own = this.drawn.filter((l) => l.s.v && !l.mute).map((l) => ({ s: l.s, p: size(l.s, 0.95) })).filter((l) => Number.isFinite(l.p));
+      if (!own.length) return [-1, 1];
+      const ordered = own.map((l) => l.p).sort((p, q) => p - q), middle = ordered[Math.floor((ordered.length - 1) / 2)];
+      const kept = own.filter((l) => l.p <= 8 * Math.max(middle, 0.02));
+      const top = 1.15 * Math.max(1e-3, ...kept.map((l) => size(l.s, 0.999)));
+      this.cut = own.length - kept.length;
+      return [this.robust === "positive" ? 0 : -top, top];
     }
 
     point() {
@@ -206,7 +228,8 @@
       if (!this.visible) return;
       const parts = (this.drawn ?? []).filter((l) => l.label && !l.mute).slice(0, this.small ? 4 : 12)
         .map((l) => { const s = element("span", { textContent: `${this.small ? "" : l.label + " "}${this.format(valueAt(l.s, now))}` }); s.style.color = l.color; return s; });
-      this.head.replaceChildren(element("b", { textContent: this.title + (this.unit ? `, ${this.unit}` : "") }), ...parts);
+      const beyond = this.robust && $("robust").checked && this.cut ? [element("span", { className: "note", textContent: `${this.cut} beyond the scale` })] : [];
+      this.head.replaceChildren(element("b", { textContent: this.title + (this.unit ? `, ${this.unit}` : "") }), ...parts, ...beyond);
     }
   }
   let moving = false;
@@ -221,10 +244,18 @@
       const x = u.valToPos(a, "x", true);
       ctx.fillRect(x, bbox.top, u.valToPos(b, "x", true) - x, bbox.height);
     }
-    ctx.strokeStyle = css("--bad"); ctx.setLineDash([4, 4]);
+    ctx.restore();
+  }
+
+  // Faults and warnings, over the grid and the series.
+  function mark(u) {
+    const { ctx, bbox } = u;
+    ctx.save();
+    ctx.strokeStyle = css("--bad"); ctx.globalAlpha = 0.75; ctx.setLineDash([4, 4]);
     for (const e of focus.run.events) {
       if (e.name === "pilot" && e.level === "info") continue;
       const x = Math.round(u.valToPos(e.t, "x", true)) + 0.5;
+      if (x < bbox.left || x > bbox.left + bbox.width) continue;
       ctx.beginPath(); ctx.moveTo(x, bbox.top); ctx.lineTo(x, bbox.top + bbox.height); ctx.stroke();
     }
     ctx.restore();
@@ -275,16 +306,20 @@
     }
     ctx.font = "10.5px system-ui, sans-serif"; ctx.textBaseline = "top";
     let end = -1;
+    const lanes = [-1, -1]; // where the last text of each lane of faults ends
     for (const e of focus.run.events) {
       const begins = e.name === "pilot" && e.text.endsWith(" begins");
       if (!begins && e.name === "pilot" && e.level === "info") continue;
       ctx.fillStyle = begins ? css("--dim") : css("--bad");
-      ctx.fillRect(x(e.t), 12, 1, begins ? 12 : h - 12);
+      ctx.fillRect(x(e.t), 12, 1, begins ? 12 : 14);
       const text = begins ? (e.text.match(/\((.*?)\)/)?.[1] ?? "") : e.text;
-      if (begins ? x(e.t) > end : true) {
-        if (begins) { ctx.fillText(text, x(e.t) + 2, 0); end = x(e.t) + ctx.measureText(text).width + 8; }
-        else ctx.fillText(text.slice(0, 40), Math.min(x(e.t) + 3, w - ctx.measureText(text.slice(0, 40)).width), 23);
+      if (begins) {
+        if (x(e.t) > end) { ctx.fillText(text, x(e.t) + 2, 0); end = x(e.t) + ctx.measureText(text).width + 8; }
+        continue;
       }
+      const short = text.slice(0, 40), wide = ctx.measureText(short).width, left = Math.min(x(e.t) + 3, w - wide);
+      const lane = lanes.findIndex((last) => left > last);
+      if (lane >= 0) { ctx.fillText(short, left, 25 + 11 * lane); lanes[lane] = left + wide + 8; }
     }
     ctx.strokeStyle = css("--accent"); ctx.lineWidth = 1.5;
     if (zoomed()) ctx.strokeRect(x(view[0]), 11, Math.max(2, x(view[1]) - x(view[0])), 14);
@@ -423,18 +458,20 @@
     const { nees, inside } = e.summary;
     if (nees == null) return element("span", { className: "badge", textContent: "not given" });
     if (nees > 3) return element("span", { className: `badge ${nees > 30 ? "bad" : "warn"}`, textContent: `overconfident ×${digits(Math.sqrt(nees))}` });
-    if (nees < 0.2 && inside > 0.99) return element("span", { className: "badge", textContent: "cautious" });
+    if (nees < 0.2 && inside > 0.99) return element("span", { className: "badge", textContent: "conservative" });
     return element("span", { className: "badge good", textContent: "consistent" });
   }
 
   function summary() {
     const measures = ["tilt", "heading", "roll", "pitch"], kinds = ["rmse", "p95", "max"];
     const best = (key) => Math.min(...estimators.map((e) => e.summary[key] ?? Infinity));
+    const wide = (m, kind = "") => (m === "roll" || m === "pitch" || kind === "p95" ? " wide" : ""); // not on a phone
+    const narrow = matchMedia("(max-width: 600px)").matches; // one row of headings there
     const head = element("thead", {},
-      element("tr", {}, element("th", { className: "group" }), element("th", { className: "group" }), ...measures.map((m) => element("th", { className: "group", colSpan: 3, textContent: m })), element("th", { className: "group", colSpan: 4 })),
-      element("tr", {}, element("th", { textContent: campaign ? "estimator (medians)" : "estimator" }), element("th", { className: "l", textContent: "its sigma is" }),
-        ...measures.flatMap(() => kinds.map((k, i) => element("th", { textContent: k, className: i ? "" : "gap" }))),
-        ...["within 3σ", "NEES", "NIS", "available"].map((k) => element("th", { textContent: k }))));
+      element("tr", { className: "wide" }, element("th", { className: "group" }), element("th", { className: "group" }), ...measures.map((m) => element("th", { className: "group" + wide(m), colSpan: 3, textContent: m })), element("th", { className: "group wide", colSpan: 4 })),
+      element("tr", {}, element("th", { textContent: campaign ? "estimator (medians)" : "estimator" }), element("th", { className: "l", textContent: "claimed uncertainty" }),
+        ...measures.flatMap((m) => kinds.map((k, i) => element("th", { textContent: narrow ? `${m} ${k}` : k, className: (i ? "" : "gap") + wide(m, k) }))),
+        ...["within 3σ", "NEES", "NIS", "available"].map((k) => element("th", { textContent: k, className: "wide" }))));
     const percent = (x) => (x == null ? "–" : `${(100 * x).toFixed(x > 0.995 && x < 1 ? 1 : 0)} %`);
     const body = element("tbody");
     for (const e of estimators) {
@@ -442,10 +479,9 @@
       body.append(element("tr", { className: "first" }, name(e), element("td", { className: "l" }, verdict(e)),
         ...measures.flatMap((m) => kinds.map((k, i) => {
           const key = `${m}_${k}_deg`;
-          return element("td", { textContent: digits(s[key]), className: (i ? "" : "gap ") + (s[key] != null && s[key] <= best(key) && estimators.length > 1 ? "best" : "") });
+          return element("td", { textContent: digits(s[key]), className: (i ? "" : "gap ") + wide(m, k) + " " + (s[key] != null && s[key] <= best(key) && estimators.length > 1 ? "best" : "") });
         })),
-        element("td", { textContent: percent(s.inside) }), element("td", { textContent: digits(s.nees) }), element("td", { textContent: digits(s.nis) }),
-        element("td", { textContent: percent(s.availability) })));
+        ...[percent(s.inside), digits(s.nees), digits(s.nis), percent(s.availability)].map((text) => element("td", { textContent: text, className: "wide" }))));
       const say = element("td", { colSpan: 18 }, e.finding + " ");
       if (e.worst) {
         const link = element("button", { className: "link", textContent: "show" });
@@ -504,7 +540,10 @@
   function legend() {
     const truth = element("button", { textContent: focus.run.reference, disabled: true });
     truth.prepend(Object.assign(element("span", { className: "dot" }), { style: `background:${css("--truth")}` }));
-    $("legend").replaceChildren(truth, ...estimators.map((e) => {
+    const wanted = $("filter").value.trim().toLowerCase(), found = estimators.filter((e) => e.label.toLowerCase().includes(wanted));
+    $("filter").hidden = estimators.length <= SHOWN;
+    $("count").textContent = estimators.length > SHOWN ? `${shown().length} of ${estimators.length} shown` : "";
+    $("legend").replaceChildren(truth, ...found.map((e) => {
       const dot = element("span", { className: "dot" }), button = element("button", { className: e.shown ? "" : "off", title: "show or hide" }, dot, e.label);
       dot.style.background = e.color();
       button.onclick = () => { e.shown = !e.shown; legend(); redraw(); track(); };
@@ -520,8 +559,8 @@
 
   const power = (v) => (Number.isFinite(v) ? digits(10 ** v) : "–");
   const decades = { values: (_, v) => v.map((y) => (Number.isInteger(y) ? (Math.abs(y) > 3 ? `1e${y}` : `${+(10 ** y).toFixed(4)}`) : "")), incrs: [1, 2, 5] };
-  const degrees = { incrs: [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 45, 90, 180, 360, 720] };
-  const headings = { ...degrees, values: (_, v) => v.map((y) => `${+compass(y).toFixed(3)}`) };
+  const degrees = { size: 56, incrs: [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 45, 90, 180, 360, 720] };
+  const headings = { ...degrees, incrs: degrees.incrs.filter((x) => x <= 90), values: (_, v) => v.map((y) => `${+compass(y).toFixed(3)}`) };
   const shadowed = (color) => color + "26";
 
   function attitudePlot(parent, k, options = {}) {
@@ -529,18 +568,21 @@
       title: AXES[k], unit: "deg", format: (x) => (Number.isFinite(x) ? (k === 2 ? compass(x) : wrapped(x)).toFixed(2) : "–"), ticks: k === 2 ? headings : degrees,
       lines: () => [
         ...(campaign ? [] : shown().map((e) => ({ label: e.label, color: e.color(), s: e.attitude[k](), width: e === focus ? 1.8 : 1.2 }))),
-        { label: focus.run.reference, color: css("--truth"), s: truthOf(k), width: 1.6, dash: [6, 3] },
+        ...(campaign ? [focus.run] : [...new Set([focus.run, ...shown().map((e) => e.run)])]).map((run) => ({
+          label: data.runs.length > 1 ? `${run.label}: ${run.reference}` : run.reference,
+          color: run === focus.run ? css("--truth") : css("--dim"), s: truthOf(k, run), width: 1.6, dash: [6, 3],
+        })),
       ],
       ...options,
     });
   }
 
   function build() {
-    for (let k = 0; k < 3; k++) {
+    for (const k of [TILT, 0, 1, 2]) {
       new Plot($("errors"), {
-        title: `${AXES[k]} error`, unit: "deg", height: 190, ticks: degrees,
+        title: `${MEASURES[k]} error`, unit: "deg", height: 190, ticks: degrees, robust: k === TILT ? "positive" : "both",
         lines: () => [
-          ...shown().map((e) => ({ label: e.label, color: e.color(), s: k === 1 ? series(e.error[k]) : circular(series(e.error[k])), width: e === focus ? 1.6 : 1.1 })),
+          ...shown().map((e) => ({ label: e.label, color: e.color(), s: k === 1 || k === TILT ? series(e.error[k]) : circular(series(e.error[k])), width: e === focus ? 1.6 : 1.1 })),
           ...(campaign && $("bands").checked ? shown() : []).flatMap((e) => [3, -3].map((n) => ({ color: e.color(), s: derived(e.part("sigma")?.[k], (s) => n * s), dash: [3, 4], width: 1, mute: true }))),
         ],
         bands: () => shown().filter((e) => campaign || banded(e)).map((e) => {
@@ -549,7 +591,7 @@
           return { low: derived(sigma, (s) => -3 * s), high: derived(sigma, (s) => 3 * s), color: shadowed(e.color()) };
         }),
       });
-      attitudePlot($("attitude"), k);
+      if (k < TILT) attitudePlot($("attitude"), k);
     }
 
     const biased = { gyro_bias: ["gyro bias", "deg/s"], accel_bias: ["accelerometer bias", "m/s²"] };
@@ -596,18 +638,18 @@
     const used = (focus.innovation_low ?? []).map((ref, i) => (ref ? i : -1)).filter((i) => i >= 0);
     $("innovation-title").textContent = used.length ? `Innovations of ${focus.label}, in their sigma: extremes of every second, ±3 dashed` : "";
     for (const i of used) add("innovations", {
-      title: `component ${i + 1}`, small: true, height: 110,
+      title: focus.innovation_names?.[i] ?? `component ${i + 1}`, small: true, height: 110,
       lines: () => [["low", "high"].map((w) => ({ label: w, color: focus.color(), s: series(focus[`innovation_${w}`][i]), width: 1 })), [3, -3].map((y) => ({ color: css("--dim"), s: constant(y), dash: [4, 4], width: 1, mute: true }))].flat(),
       bands: () => [{ low: series(focus.innovation_low[i]), high: series(focus.innovation_high[i]), color: shadowed(focus.color()) }],
     });
     const suites = Object.entries(focus.run.suites).filter(([, s]) => s.satellites?.length);
     if (suites.length) add("state", {
       title: "satellites in use", height: 110, format: (x) => (Number.isFinite(x) ? String(x) : "–"), range: (_, a, b) => [Math.min(0, a ?? 0), Math.max(12, (b ?? 0) + 1)],
-      lines: () => suites.map(([suite, s], i) => ({ label: suite, color: (root.dataset.theme === "dark" ? DARK : LIGHT)[i + 5], s: steps(s.satellites), width: 1.6 })),
+      lines: () => suites.map(([suite, s], i) => ({ label: suite, color: colorOf(i + 5), s: steps(s.satellites), width: 1.6 })),
     });
     if (focus.adaptation) add("state", {
       title: `adaptation of ${focus.label}`, height: 130,
-      lines: () => focus.adaptation.map((ref, i) => ({ label: `state ${i + 1}`, color: (root.dataset.theme === "dark" ? DARK : LIGHT)[i], s: series(ref) })),
+      lines: () => focus.adaptation.map((ref, i) => ({ label: `state ${i + 1}`, color: colorOf(i), s: series(ref) })),
     });
     if (estimators.some((e) => e.status)) add("state", {
       title: `status: ${data.status.map((s, i) => `${i} ${s}`).join(", ")}`, height: 110, format: (x) => data.status[x] ?? "–", range: () => [-0.3, data.status.length - 0.5],
@@ -665,6 +707,8 @@
     $("scrub").oninput = () => setNow(Number($("scrub").value));
     $("reset").onclick = () => setView(from, to);
     $("bands").onchange = () => redraw();
+    $("robust").onchange = () => redraw();
+    $("filter").oninput = () => legend();
     $("focus").replaceChildren(...estimators.map((e, i) => element("option", { value: i, textContent: e.label })));
     $("focus").onchange = () => choose(estimators[$("focus").value]);
     $("theme").onclick = () => { root.dataset.theme = root.dataset.theme === "dark" ? "light" : "dark"; paint(); };
@@ -702,6 +746,7 @@
     `${(to - from).toFixed(0)} s`, flight.epoch ? flight.epoch.replace("T", " ").slice(0, 16) + " UTC" : "",
     Object.keys(first.provenance).filter((k) => k.startsWith("suite ")).map((k) => `${k.slice(6)} = ${first.provenance[k].grade}`).join(", "),
   ].filter(Boolean).join(" · ");
+  if (campaign) $("attitude-title").textContent = `Attitude of the first flight's ${first.reference}`;
   if (campaign) $("errors-title").textContent = "Errors: median and middle 95 % over the flights, dashed ±3σ as the estimators claim (median)";
   $("reference").textContent = first.reference === "truth" ? "the truth" : first.reference;
   controls(); build(); windows(estimators.find((e) => e.worst)); flights(); provenance();
