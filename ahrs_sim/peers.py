@@ -26,6 +26,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ahrs_sim import attitude
+from ahrs_sim.world import gravity
 from estimators.errors import SampleError, SettingError
 from estimators.settings import Setting, checked
 from estimators.types import Estimates, Samples, SensorInfo, Site, Status, blank
@@ -36,7 +38,6 @@ MAX_STEP = 0.5
 BACKWARDS = 1.0
 """s: a time stamp that goes further back is another recording, not jitter."""
 
-STANDARD_GRAVITY = 9.80665
 """m/s2, in one g."""
 
 _NED = (1.0, 0.0, 0.0, 0.0)
@@ -107,7 +108,7 @@ class Peer:
             ) from error
         north, east, _ = self.site.mag_n
         half = 0.5 * math.atan2(east, north) if self.MAGNETIC else 0.0
-        self._q_ne = _product(np.array([math.cos(half), 0.0, 0.0, math.sin(half)]), np.array(self.EARTH))
+        self._q_ne = attitude.product(np.array([math.cos(half), 0.0, 0.0, math.sin(half)]), np.array(self.EARTH))
         self.reset()
 
     def number(self, name: str) -> float:
@@ -188,8 +189,8 @@ class Peer:
         for part in np.split(np.arange(len(rows)), cuts):
             k = rows[part]
             made = self.feed(np.minimum(dt[part], MAX_STEP), gyro_b[k], accel_b[k], mag_b[k])
-            made["q_nb"] = _product(self._q_ne, made.pop("q"))
-            made["down_b"] = _down(made["q_nb"])
+            made["q_nb"] = attitude.product(self._q_ne, made.pop("q"))
+            made["down_b"] = attitude.down(made["q_nb"])
             parts.append(made)
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
@@ -256,7 +257,7 @@ class Vqf(Peer):
         else:
             made = self._filter.updateBatch(gyro_b, accel_b)
             heading = 0.5 * float(self._filter.state["delta"])  # held: from the Earth axes of 6D to those of 9D
-            q = _product(np.array([math.cos(heading), 0.0, 0.0, math.sin(heading)]), made["quat6D"])
+            q = attitude.product(np.array([math.cos(heading), 0.0, 0.0, math.sin(heading)]), made["quat6D"])
         sigma = np.repeat(made["biasSigma"][:, None], 3, axis=1)
         return {"q": q, "gyro_bias": made["bias"], "gyro_bias_sigma": sigma}
 
@@ -300,7 +301,7 @@ class Imufusion(Peer):
     def feed(self, dt: np.ndarray, gyro_b: np.ndarray, accel_b: np.ndarray, mag_b: np.ndarray) -> dict[str, np.ndarray]:
         """Run rows through the filter."""
         q, bias = np.empty((len(dt), 4)), np.full((len(dt), 3), np.nan)
-        gyro, accel, mag = np.degrees(gyro_b), accel_b / STANDARD_GRAVITY, 1e6 * mag_b  # deg/s, g, uT
+        gyro, accel, mag = np.degrees(gyro_b), accel_b / gravity.STANDARD, 1e6 * mag_b  # deg/s, g, uT
         magnetic, unbiased = np.isfinite(mag[0, 0]), self.settings["bias"]
         for k in range(len(dt)):
             rate = gyro[k]
@@ -326,11 +327,11 @@ class _OfAhrs(Peer):
         """Make the filter, and its first attitude from the first sample, as the package does."""
         self._filter = self.make()
         q_nb = _from_vectors(-accel_b, mag_b)
-        self._q = _product(_conjugate(np.array(self.EARTH)), q_nb)
+        self._q = attitude.product(attitude.conjugate(np.array(self.EARTH)), q_nb)
         if not self.MAGNETIC:
             north, east, _ = self.site.mag_n
             half = 0.5 * math.atan2(east, north)
-            self._q = _product(np.array([math.cos(half), 0.0, 0.0, math.sin(half)]), self._q)
+            self._q = attitude.product(np.array([math.cos(half), 0.0, 0.0, math.sin(half)]), self._q)
 
     def make(self) -> Any:
         """The filter object."""
@@ -419,8 +420,7 @@ class AhrsEkf(_OfAhrs):
 
     def more(self) -> dict[str, np.ndarray]:
         """Covariance of the rotation vector r in body axes, `q exp_q(r)`: `r = 2 E^T dq`."""
-        a, b, c, d = self._q
-        E = 2.0 * np.array([[-b, -c, -d], [a, -d, c], [d, a, -b], [-c, b, a]])
+        E = 4.0 * attitude.by_rotation(self._q)
         return {"att_cov": E.T @ self._filter.P @ E}
 
 
@@ -465,31 +465,6 @@ class TurboCkf(Peer):
 def _unused(points: np.ndarray) -> np.ndarray:
     """Stand in for the functions that TurboCKF wants and its AHRS path does not call."""
     return points
-
-
-def _product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Quaternion product of p (..., 4) and q (..., 4)."""
-    pa, pb, pc, pd = np.moveaxis(p, -1, 0)
-    qa, qb, qc, qd = np.moveaxis(q, -1, 0)
-    return np.stack(
-        [
-            pa * qa - pb * qb - pc * qc - pd * qd,
-            pa * qb + pb * qa + pc * qd - pd * qc,
-            pa * qc - pb * qd + pc * qa + pd * qb,
-            pa * qd + pb * qc - pc * qb + pd * qa,
-        ],
-        axis=-1,
-    )
-
-
-def _conjugate(q: np.ndarray) -> np.ndarray:
-    return np.asarray(q * np.array([1.0, -1.0, -1.0, -1.0]))
-
-
-def _down(q_nb: np.ndarray) -> np.ndarray:
-    """Down in body axes (..., 3)."""
-    a, b, c, d = np.moveaxis(q_nb, -1, 0)
-    return np.stack([2 * (b * d - a * c), 2 * (c * d + a * b), a * a - b * b - c * c + d * d], axis=-1)
 
 
 def _from_vectors(down_b: np.ndarray, mag_b: np.ndarray) -> np.ndarray:

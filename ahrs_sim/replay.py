@@ -299,8 +299,7 @@ def _as_estimates(attitude: Any) -> Estimates:
     known = np.isfinite(attitude.q_nb).all(axis=1)
     columns = blank(Estimates, int(known.sum()))
     columns["t"], columns["q_nb"] = attitude.stamp_ns[known] / 1e9, attitude.q_nb[known]
-    w, x, y, z = columns["q_nb"].T
-    columns["down_b"] = np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+    columns["down_b"] = attitude.down(columns["q_nb"])
     return Estimates(**columns)
 
 

@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ahrs_sim import pipeline, scenario
+from ahrs_sim import attitude, pipeline, scenario
 from ahrs_sim.cli import main
-from ahrs_sim.evaluation import metrics
 from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.mcap.reader import LogReader
 
@@ -314,7 +313,7 @@ def test_the_papers_filter_crashes_in_its_first_turn(tmp_path: Path) -> None:
         turn = next(e.t for e in reader.events() if e.text == "step 7 (turn) begins")
     at = {}
     for name, t, q_nb in (("flown", truth.t, truth.q_nb), ("said", estimate.t, estimate.q_nb)):
-        at[name] = np.interp(turn + 1.7, t, np.degrees(metrics.euler(q_nb)[:, 0]))
+        at[name] = np.interp(turn + 1.7, t, np.degrees(attitude.euler(q_nb)[:, 0]))
     assert at["flown"] > 60.0
     assert at["said"] < 30.0, "the bank asked for is not reached, so it banks on"
 

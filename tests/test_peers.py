@@ -6,7 +6,8 @@ import pytest
 
 import estimators
 from ahrs_sim import peers
-from ahrs_sim.peers import AirspeedAid, _conjugate, _product
+from ahrs_sim.attitude import conjugate, product
+from ahrs_sim.peers import AirspeedAid
 from estimators.errors import SampleError, SettingError
 from estimators.types import Estimates, Samples, SensorInfo, Site, Status
 
@@ -29,13 +30,13 @@ def quaternion(roll, pitch, yaw):
         q[0], q[1 + axis] = math.cos(angle / 2), math.sin(angle / 2)
         return q
 
-    return _product(_product(about(2, yaw), about(1, pitch)), about(0, roll))
+    return product(product(about(2, yaw), about(1, pitch)), about(0, roll))
 
 
 def to_body(q, v):
     pure = np.zeros((len(q), 4))
     pure[:, 1:] = v
-    return _product(_product(_conjugate(q), pure), q)[:, 1:]
+    return product(product(conjugate(q), pure), q)[:, 1:]
 
 
 def motion(q0, rate_b, seconds, *, others=None, **columns):
@@ -49,7 +50,7 @@ def motion(q0, rate_b, seconds, *, others=None, **columns):
     q = np.empty((n, 4))
     q[0] = q0
     for k in range(1, n):
-        q[k] = _product(q[k - 1], d)
+        q[k] = product(q[k - 1], d)
     accel = to_body(q, [0.0, 0.0, -SITE.gravity])
     if others is not None:
         accel = accel + others
@@ -59,7 +60,7 @@ def motion(q0, rate_b, seconds, *, others=None, **columns):
 
 def apart(q, p):
     """Angle between attitudes, deg."""
-    d = _product(_conjugate(q), p)
+    d = product(conjugate(q), p)
     return np.degrees(2 * np.arctan2(np.linalg.norm(d[..., 1:], axis=-1), np.abs(d[..., 0])))
 
 
@@ -75,7 +76,7 @@ def test_constant_attitude(peer, attitude):
     Mahony takes longer: its integral must forget what it has learnt from that.
     """
     q, samples = motion(quaternion(*np.radians(attitude)), [0, 0, 0], 60 if peer is peers.Mahony else 16)
-    off = _product(q[0], quaternion(*np.radians([10, -8, 9])))[None]
+    off = product(q[0], quaternion(*np.radians([10, -8, 9])))[None]
     samples.accel_b[0], samples.mag_b[0] = to_body(off, [0, 0, -G])[0], to_body(off, SITE.mag_n)[0]
     out = peer(site=SITE, sensors=SENSORS).process(samples)
     assert apart(q[-1], out.q_nb[-1]) < 1.0

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import estimators
+from ahrs_sim import attitude
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.chain import site
 from ahrs_sim.evaluation import metrics
@@ -47,7 +48,7 @@ def test_two_hours_with_the_catalogue(tmp_path):
     rms = {name: [] for name in flying}
     while len(truth := flight.fly(round(BLOCK_S / flight.dt))):
         samples = assembler.assemble(suite.sense(truth))
-        reference = metrics.interpolate(truth.t, truth.q_nb, samples.t)
+        reference = attitude.interpolate(truth.t, truth.q_nb, samples.t)
         for name, estimator in flying.items():
             said = estimator.process(samples)
             at = f"{name}, {truth.t[0]:.0f} s"

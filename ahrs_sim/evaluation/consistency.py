@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ahrs_sim.evaluation import metrics
+from ahrs_sim import attitude
 
 FREEDOM = 3
 """Degrees of freedom of an attitude error."""
@@ -44,14 +44,7 @@ def mean_bounds(freedom: int, count: np.ndarray | float, probability: float = 0.
 
 def rotation_error(q_nb: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """Rotation vectors r (n, 3) rad, body axes, that turn the reference into the estimate: q_nb = q_ref (x) exp(r)."""
-    q, p = q_nb, reference
-    scalar = np.sum(p * q, axis=1)
-    vector = p[:, :1] * q[:, 1:] - q[:, :1] * p[:, 1:] - np.cross(p[:, 1:], q[:, 1:])
-    vector = np.where(scalar[:, None] < 0, -vector, vector)
-    sine = np.linalg.norm(vector, axis=1)
-    small = sine < 1e-8
-    scale = np.where(small, 2.0, 2.0 * np.arctan2(sine, np.abs(scalar)) / np.where(small, 1.0, sine))
-    return np.asarray(scale[:, None] * vector)
+    return attitude.rotation_vector(reference, q_nb)
 
 
 def nees(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -106,7 +99,7 @@ def euler_sigma(q_nb: np.ndarray, att_cov: np.ndarray) -> np.ndarray:
 
     To first order; near a pitch of 90 deg roll and heading are not separate and their sigmas grow without bound.
     """
-    roll, pitch, _ = metrics.euler(q_nb).T
+    roll, pitch, _ = attitude.euler(q_nb).T
     sr, cr, cp = np.sin(roll), np.cos(roll), np.cos(pitch)
     with np.errstate(divide="ignore", invalid="ignore"):
         tp, ip = np.tan(pitch), 1.0 / cp

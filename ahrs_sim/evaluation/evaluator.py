@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ahrs_sim import attitude
 from ahrs_sim.evaluation import consistency, metrics
 from ahrs_sim.evaluation.decimate import take
 from ahrs_sim.evaluation.metrics import History
@@ -50,7 +51,7 @@ class Comparison:
 
     def within(self) -> np.ndarray:
         """Test whether all three Euler errors lie inside three claimed sigma: (n,) 1, 0, or NaN where not known."""
-        error = metrics.wrap(metrics.euler(self.estimates.q_nb) - metrics.euler(self.reference))
+        error = attitude.wrap(attitude.euler(self.estimates.q_nb) - attitude.euler(self.reference))
         return consistency.within(error, self.sigma())
 
 

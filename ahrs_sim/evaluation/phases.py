@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from ahrs_sim.evaluation import metrics
+from ahrs_sim import attitude
 from ahrs_sim.evaluation.decimate import Decimator
 
 TURN_RATE = math.radians(3.0)
@@ -49,7 +49,7 @@ def classify(t: np.ndarray, q_nb: np.ndarray, vel_n: np.ndarray, on_ground: np.n
 
     speed, climbed = np.linalg.norm(vel_n, axis=1), np.cumsum(vel_n[:, 2] * np.gradient(t))
     standing = on_ground & (speed < STANDING)
-    turning = ~on_ground & (slope(np.unwrap(metrics.euler(q_nb)[:, 2])) > TURN_RATE)
+    turning = ~on_ground & (slope(np.unwrap(attitude.euler(q_nb)[:, 2])) > TURN_RATE)
     unsteady = turning | (~standing & (on_ground | (slope(speed) > ACCELERATION) | (slope(climbed) > CLIMB)))
     last = np.maximum.accumulate(np.where(unsteady, t, -np.inf))
     phase = np.where(standing, PHASES.index("ground"), PHASES.index("straight"))

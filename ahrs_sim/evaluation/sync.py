@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 
-from ahrs_sim.evaluation import metrics
-from ahrs_sim.recordings.frames import product
+from ahrs_sim import attitude
 
 LONGEST = 1.0
 """s: no delay is looked for beyond this."""
@@ -18,11 +17,9 @@ def rates(t: np.ndarray, q_nb: np.ndarray, at: np.ndarray, width: float) -> np.n
     """Mean body rates (m, 3) rad/s over `width` (s) about `at` (m,) of attitudes (n, 4) at rising times (n,)."""
     if len(t) < 2:
         return np.full((len(at), 3), np.nan)
-    a = metrics.interpolate(t, q_nb, at - width / 2)
-    b = metrics.interpolate(t, q_nb, at + width / 2)
-    # conj(a) (x) b
-    w = np.sum(a * b, axis=1, keepdims=True)
-    v = a[:, :1] * b[:, 1:] - b[:, :1] * a[:, 1:] - np.cross(a[:, 1:], b[:, 1:])
+    a = attitude.interpolate(t, q_nb, at - width / 2)
+    b = attitude.interpolate(t, q_nb, at + width / 2)
+    w, v = attitude.difference(a, b)
     v = np.where(w < 0, -v, v)
     norm = np.linalg.norm(v, axis=1, keepdims=True)
     angle = 2 * np.arctan2(norm, np.abs(w))
@@ -80,10 +77,9 @@ def constant_rotations(q: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray
     good = np.isfinite(q).all(axis=1) & np.isfinite(reference).all(axis=1)
     q, reference = q[good], reference[good]
     left = right = np.array([1.0, 0.0, 0.0, 0.0])
-    conjugate = np.array([1.0, -1.0, -1.0, -1.0])
     for _ in range(30):
-        left = _mean(product(q, product(reference, right[None]) * conjugate))
-        right = _mean(product(product(left[None], reference) * conjugate, q))
+        left = _mean(attitude.product(q, attitude.conjugate(attitude.product(reference, right[None]))))
+        right = _mean(attitude.product(attitude.conjugate(attitude.product(left[None], reference)), q))
     return left, right
 
 

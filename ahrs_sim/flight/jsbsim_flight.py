@@ -16,6 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ahrs_sim import attitude
 from ahrs_sim.errors import InputError
 from ahrs_sim.flight.columns import (
     ANGULAR_ACCELERATION,
@@ -356,18 +357,11 @@ class JsbsimFlight:
             self._events.append(Event(first * self.dt, "error", "flight", "the state is not a number any more"))
         n = len(raw)
         column = np.multiply(raw.T, SCALE[:, None], order="C")  # (columns, n)
-        half = column[EULER_ANGLES]
-        cos, sin = np.cos(half), np.sin(half)
-        q = np.empty((n, 4))
-        q[:, 0] = cos[0] * cos[1] * cos[2] + sin[0] * sin[1] * sin[2]
-        q[:, 1] = sin[0] * cos[1] * cos[2] - cos[0] * sin[1] * sin[2]
-        q[:, 2] = cos[0] * sin[1] * cos[2] + sin[0] * cos[1] * sin[2]
-        q[:, 3] = cos[0] * cos[1] * sin[2] - sin[0] * sin[1] * cos[2]
         return Truth(
             t=np.arange(self._next - n, self._next) * self.dt,
             lla=np.ascontiguousarray(column[PLACE].T),
             vel_n=np.ascontiguousarray(column[VELOCITY].T),
-            q_nb=q,
+            q_nb=attitude.from_half_angles(*column[EULER_ANGLES]),
             rate_ib_b=np.ascontiguousarray(column[RATES].T),
             rate_dot_b=np.ascontiguousarray(column[ANGULAR_ACCELERATION].T),
             accel_b=np.ascontiguousarray((column[FORCE] / column[Column.MASS]).T),

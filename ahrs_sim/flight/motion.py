@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ahrs_sim import attitude
 from ahrs_sim.errors import InputError
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
 from ahrs_sim.scenario import Scenario, Start, seeds
@@ -418,15 +419,15 @@ class MotionFlight:
         )
         rate_nb_b = np.stack([np.broadcast_to(r.x, (n,)) for r in rates], axis=-1)
         rate_nb_dot_b = np.stack([np.broadcast_to(r.d, (n,)) for r in rates], axis=-1)
-        q_nb = _quaternion(roll.x, pitch.x, heading.x, n)
+        q_nb = attitude.from_half_angles(*(0.5 * np.broadcast_to(angle.x, (n,)) for angle in (roll, pitch, heading)))
 
         earth_n = wgs84.earth_rate_n(lla[:, 0])
         frame_n = earth_n + wgs84.transport_rate_n(lla, vel_n)  # of NED against the stars
-        frame_b = _to_body(q_nb, frame_n)
+        frame_b = attitude.to_body(q_nb, frame_n)
         # what is left out is how the frame's rate changes with latitude, 1e-10 rad/s2
-        frame_dot_b = _to_body(q_nb, wgs84.transport_rate_n(lla, vel_dot)) - np.cross(rate_nb_b, frame_b)
+        frame_dot_b = attitude.to_body(q_nb, wgs84.transport_rate_n(lla, vel_dot)) - np.cross(rate_nb_b, frame_b)
         accel_n = vel_dot + np.cross(earth_n + frame_n, vel_n) - gravity_n(lla)
-        air_b = _to_body(q_nb, vel_n - self._wind_n)
+        air_b = attitude.to_body(q_nb, vel_n - self._wind_n)
         airspeed = np.sqrt(np.sum(air_b**2, axis=1))
         pressure, temperature = standard_atmosphere(lla[:, 2])
         columns = blank(Truth, n)
@@ -437,7 +438,7 @@ class MotionFlight:
             q_nb=q_nb,
             rate_ib_b=rate_nb_b + frame_b,
             rate_dot_b=rate_nb_dot_b + frame_dot_b,
-            accel_b=_to_body(q_nb, accel_n),
+            accel_b=attitude.to_body(q_nb, accel_n),
             cg_b=np.zeros((n, 3)),
             airspeed=airspeed,
             alpha=np.arctan2(air_b[:, 2], air_b[:, 0]),
@@ -492,26 +493,3 @@ def standard_atmosphere(height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pressure (Pa) and temperature (K) of the US Standard Atmosphere 1976 up to 11 km (geometric heights)."""
     temperature = 288.15 - 0.0065 * height
     return 101325.0 * (temperature / 288.15) ** 5.255876, temperature
-
-
-def _quaternion(roll: np.ndarray, pitch: np.ndarray, heading: np.ndarray, n: int) -> np.ndarray:
-    """Body to NED, (n, 4)."""
-    half = [0.5 * np.broadcast_to(angle, (n,)) for angle in (roll, pitch, heading)]
-    (c0, c1, c2), (s0, s1, s2) = ([np.cos(h) for h in half], [np.sin(h) for h in half])
-    return np.stack(
-        [
-            c0 * c1 * c2 + s0 * s1 * s2,
-            s0 * c1 * c2 - c0 * s1 * s2,
-            c0 * s1 * c2 + s0 * c1 * s2,
-            c0 * c1 * s2 - s0 * s1 * c2,
-        ],
-        axis=-1,
-    )
-
-
-def _to_body(q_nb: np.ndarray, vector_n: np.ndarray) -> np.ndarray:
-    """Body components (n, 3) of vectors (n, 3) in NED."""
-    scalar, axis = q_nb[:, :1], -q_nb[:, 1:]
-    twice = 2.0 * np.cross(axis, vector_n)
-    rotated: np.ndarray = vector_n + scalar * twice + np.cross(axis, twice)
-    return rotated

@@ -19,6 +19,7 @@ from ahrs_sim.flight.manoeuvres import Failure, HandOver, Manoeuvre
 from ahrs_sim.flight.truth import Event, Setpoints
 from ahrs_sim.scenario import Start
 from ahrs_sim.world import wgs84
+from estimators import rotations
 
 
 def own_autopilot(fdm: Fdm) -> bool:
@@ -102,20 +103,16 @@ class Pilot:
 
         Ignored: what is not finite, and what comes before the step `hand_over`, where there is one.
         """
-        a, b, c, d = (float(x) for x in q_nb)
-        p, q, r = (float(x) for x in rate_b)
-        if self.autopilot is None or not self.autopilot.handed_over or not math.isfinite(a + b + c + d + p + q + r):
+        if self.autopilot is None or not self.autopilot.handed_over or not math.isfinite(q_nb.sum() + rate_b.sum()):
             return
-        roll = math.atan2(2.0 * (a * b + c * d), 1.0 - 2.0 * (b * b + c * c))
-        pitch = math.asin(max(-1.0, min(1.0, 2.0 * (a * c - b * d))))
-        heading = math.atan2(2.0 * (a * d + b * c), 1.0 - 2.0 * (c * c + d * d))
+        angles = rotations.euler(q_nb)
         if self.designed is not None:
-            self.designed.estimate = Body(roll, pitch, heading, p, q, r)
+            self.designed.estimate = Body(*angles, *rate_b.tolist())
             return
         if not self._external:
             self.autopilot.set("external", 1)
             self._external = True
-        for put, value in zip(self._ext, (roll, pitch, heading, p, q, r), strict=True):
+        for put, value in zip(self._ext, (*angles, *rate_b.tolist()), strict=True):
             put(value)
 
     def tick(self, t: float, row: Sequence[float]) -> bool:

@@ -16,6 +16,7 @@ from typing import Self
 
 import numpy as np
 
+from ahrs_sim import attitude
 from ahrs_sim.evaluation import metrics
 from ahrs_sim.evaluation.decimate import Decimator, RowDecimator, take
 from ahrs_sim.evaluation.evaluator import Comparison, Evaluator
@@ -96,11 +97,11 @@ class EstimateTopics:
         block = take(block, np.isfinite(block.down_b).all(axis=1))
         if not len(block):
             return
-        _, _, attitude, _ = self._channels[name]
+        _, _, channel, _ = self._channels[name]
         times = nanoseconds(self.epoch_ns, block.t)
-        roll, pitch = metrics.roll_pitch(block.down_b)
-        heading = np.mod(metrics.euler(block.q_nb)[:, 2], 2 * np.pi)
-        self.writer.write(attitude, times, times, roll=roll, pitch=pitch, heading=heading)
+        roll, pitch = attitude.roll_pitch(block.down_b)
+        heading = np.mod(attitude.euler(block.q_nb)[:, 2], 2 * np.pi)
+        self.writer.write(channel, times, times, roll=roll, pitch=pitch, heading=heading)
         self._evaluator.add(name, block)
 
     def _write_errors(self, name: str, pair: Comparison) -> None:
@@ -208,12 +209,12 @@ class FlightLog:
             columns = route.columns(logged)
             if route is ODOMETRY:
                 columns["pose.pose.position"] = _offset_n(logged.lla, self._origin)
-                columns["twist.twist.linear"] = _to_body(logged.q_nb, logged.vel_n)
+                columns["twist.twist.linear"] = attitude.to_body(logged.q_nb, logged.vel_n)
                 columns["twist.twist.angular"] = logged.rate_ib_b
             self.writer.write(channel, times[rows], times[rows], **columns)
         self._estimates.reference((times[rows] - self.epoch_ns) / 1e9, logged.q_nb)  # as a replay will read it
         rows = self._plotted.rows(len(block))
-        roll, pitch, heading = metrics.euler(block.q_nb[rows]).T
+        roll, pitch, heading = attitude.euler(block.q_nb[rows]).T
         heading = np.mod(heading, 2 * np.pi)
         self.writer.write(self._attitude, times[rows], times[rows], roll=roll, pitch=pitch, heading=heading)
         rows = self._moved.rows(len(block))
@@ -301,10 +302,3 @@ def _offset_n(lla: np.ndarray, origin: np.ndarray) -> np.ndarray:
     """
     x, y, z = (wgs84.ecef(lla) - wgs84.ecef(origin)).T
     return np.stack([x * a + y * b + z * c for a, b, c in wgs84.ned_axes(origin[0], origin[1])], axis=-1)
-
-
-def _to_body(q_nb: np.ndarray, v_n: np.ndarray) -> np.ndarray:
-    """Vectors (n, 3) from NED to body axes."""
-    w, axis = q_nb[:, :1], -q_nb[:, 1:]
-    t = 2.0 * np.cross(axis, v_n)
-    return v_n + w * t + np.cross(axis, t)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 import estimators
+from ahrs_sim import attitude
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.chain import Chain, site
 from ahrs_sim.evaluation import metrics
@@ -49,7 +50,7 @@ class Measured:
     def errors(self, estimates: Estimates) -> np.ndarray:
         """Errors (n, 5) in deg, in the order of `metrics.MEASURES`, NaN where there is no estimate."""
         truth = self.flown.truth
-        reference = metrics.interpolate(truth.t, truth.q_nb, estimates.t)
+        reference = attitude.interpolate(truth.t, truth.q_nb, estimates.t)
         return np.asarray(np.degrees(metrics.attitude_errors(estimates.q_nb, estimates.down_b, reference)))
 
 
@@ -111,7 +112,7 @@ def turned(
     x = carry.x.copy()
     q = np.empty(4)
     angle = math.radians(degrees)
-    down = metrics.down(x[None, :4])[0]  # a turn about the vertical is one about `down` in body axes
+    down = attitude.down(x[None, :4])[0]  # a turn about the vertical is one about `down` in body axes
     turn(x[:4], *(angle * down), q)
     x[:4] = q
     P = _widened(carry.P, x[:4], down, angle)
@@ -128,8 +129,7 @@ def _widened(P: np.ndarray, q: np.ndarray, down: np.ndarray, angle: float) -> np
     """P with a heading variance of `angle`^2 in it: elements of q, or an error in body axes."""
     P = P.copy()
     if len(P) == 10:
-        a, b, c, d = q
-        slope = 0.5 * np.array([[-b, -c, -d], [a, -d, c], [d, a, -b], [-c, b, a]]) @ down
+        slope = attitude.by_rotation(q) @ down
         P[:4, :4] += angle**2 * np.outer(slope, slope)
     else:
         P[:3, :3] += angle**2 * np.outer(down, down)

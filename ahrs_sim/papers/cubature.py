@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ahrs_sim import attitude
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.evaluation import metrics
 from ahrs_sim.papers import Claim, Reproduction, Verdict, holds
@@ -90,7 +91,7 @@ def against(unit: Measured, reference: Measured, **settings: Any) -> dict[str, f
     for name in _FILTERS:
         estimates = unit.estimate(f"marg-{name}", **settings)
         judged = estimates.t >= SETTLED
-        q_ref = metrics.interpolate(best.t[there], best.q_nb[there], estimates.t[judged])
+        q_ref = attitude.interpolate(best.t[there], best.q_nb[there], estimates.t[judged])
         difference = metrics.attitude_errors(estimates.q_nb[judged], estimates.down_b[judged], q_ref)
         found[name] = rms(np.degrees(difference[:, 4]))
     return found

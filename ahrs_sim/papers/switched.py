@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_sim.evaluation import metrics
+from ahrs_sim import attitude
 from ahrs_sim.papers import Claim, Reproduction, Verdict, holds, judge
 from ahrs_sim.papers.bench import Flown, Measured, fly, measure
 from ahrs_sim.papers.fuzzy import words
@@ -86,7 +86,7 @@ def true_bias(measured: Measured, t: np.ndarray) -> np.ndarray:
 def plumb(measured: Measured) -> Measured:
     """The same with gravity alone in the accelerometer, and noise of 1 mg."""
     truth, said = measured.flown.truth, measured.samples
-    down_b = metrics.down(metrics.interpolate(truth.t, truth.q_nb, said.t))
+    down_b = attitude.down(attitude.interpolate(truth.t, truth.q_nb, said.t))
     noise = 0.01 * np.random.default_rng(0).standard_normal(down_b.shape)
     accel_b = noise - measured.flown.site.gravity * down_b
     return replace(measured, samples=replace(said, accel_b=accel_b))

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from ahrs_sim import attitude
 from ahrs_sim.flight.truth import Event
 from estimators import Estimates, Samples, Status
 from estimators.types import blank
@@ -79,7 +80,9 @@ class Guarded:
         some = np.isfinite(q).all(axis=1)
         tilt = some & ~np.isfinite(down).all(axis=1)
         if tilt.any():
-            down = np.where(tilt[:, None], _down(q), down)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                unit = q / np.linalg.norm(q, axis=1, keepdims=True)
+            down = np.where(tilt[:, None], attitude.down(unit), down)
         working = (status == Status.RUNNING) | (status == Status.COASTING)
         nothing = working & ~np.isfinite(down).all(axis=1)
         with np.errstate(invalid="ignore"):
@@ -100,13 +103,6 @@ class Guarded:
         if rows.any() and text not in self._reported:
             self._reported.add(text)
             self._events.append(Event(float(t[np.argmax(rows)]), "warning", self.name, text))
-
-
-def _down(q_nb: np.ndarray) -> np.ndarray:
-    """The down vector in body axes (n, 3) of quaternions (n, 4) of any length: the third row of C_nb."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        a, b, c, d = (q_nb / np.linalg.norm(q_nb, axis=1, keepdims=True)).T
-    return np.stack([2.0 * (b * d - a * c), 2.0 * (c * d + a * b), a * a - b * b - c * c + d * d], axis=1)
 
 
 def _nothing(samples: Samples) -> Estimates:

@@ -11,12 +11,13 @@ from itertools import permutations, product
 
 import numpy as np
 
-from ahrs_sim.evaluation.metrics import interpolate
+from ahrs_sim.attitude import interpolate
 from ahrs_sim.evaluation.sync import rates
 from ahrs_sim.recordings import frames, inertial
 from ahrs_sim.recordings.calibration import Turns, turns
 from ahrs_sim.recordings.inertial import Track
-from ahrs_sim.recordings.survey import BIN_S, G, Survey
+from ahrs_sim.recordings.survey import BIN_S, Survey
+from ahrs_sim.world.gravity import STANDARD as G
 
 GYRO_RANGE = 70.0  # rad/s, 4000 deg/s: no gyro of a vehicle measures more
 _CALM = 0.6  # m/s2 off gravity up to which an accelerometer shows the vertical

@@ -1,12 +1,16 @@
 """Axes of others and ours: FLU to FRD, ENU to NED, and which of them a frame's name says."""
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from estimators import rotations
+from ahrs_sim.attitude import euler_of as euler_of
+from ahrs_sim.attitude import from_euler as from_euler
+from ahrs_sim.attitude import product as product
+from ahrs_sim.attitude import to_nav
+
+rotate = to_nav
 
 BODIES = ("FLU", "FRD")
 WORLDS = ("ENU", "NED")
@@ -44,35 +48,6 @@ def q_ned(q: np.ndarray, body: str, world: str) -> np.ndarray:
     with np.errstate(invalid="ignore", divide="ignore"):
         unit = np.where(np.abs(norm - 1.0) < 0.1, q / norm, np.nan)
     return product(product(_Q_TO_NED[world][None], unit), _Q_FROM_FRD[body][None])
-
-
-def product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Hamilton products (n, 4) of quaternions (n, 4), scalar first; one row stands for all."""
-    a, b = p[:, :1], p[:, 1:]
-    c, d = q[:, :1], q[:, 1:]
-    return np.concatenate([a * c - np.sum(b * d, axis=1, keepdims=True), a * d + c * b + np.cross(b, d)], axis=1)
-
-
-def rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Vectors (n, 3) turned by quaternions (n, 4)."""
-    t = 2.0 * np.cross(q[:, 1:], v)
-    return v + q[:, :1] * t + np.cross(q[:, 1:], t)
-
-
-def from_euler(angles: np.ndarray) -> np.ndarray:
-    """Quaternions (n, 4) of roll, pitch, yaw (n, 3) rad."""
-    out = np.empty((len(angles), 4))
-    for i, (roll, pitch, yaw) in enumerate(angles):
-        rotations.from_euler(roll, pitch, yaw, out[i])
-    return out
-
-
-def euler_of(C: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw (3,) rad of a rotation matrix (3, 3)."""
-    level = math.hypot(C[0, 0], C[1, 0])
-    if level < 1e-6:  # straight up or down: roll is what is left
-        return np.array([math.atan2(-C[1, 2], C[1, 1]), math.atan2(-C[2, 0], level), 0.0])
-    return np.array([math.atan2(C[2, 1], C[2, 2]), math.atan2(-C[2, 0], level), math.atan2(C[1, 0], C[0, 0])])
 
 
 def named(array: np.ndarray, type_name: str) -> tuple[str, str]:

@@ -46,6 +46,7 @@ from typing import Any
 
 import numpy as np
 
+from ahrs_sim import attitude
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.log import messages
 from ahrs_sim.log.mcap.reader import vector
@@ -54,7 +55,6 @@ from ahrs_sim.recordings.frames import ORIENTATIONS
 from ahrs_sim.recordings.sources import UNITS, Source, Topic
 from ahrs_sim.scenario import Component, Gate, estimator_component
 from ahrs_sim.scenario.table import Table, read_toml
-from ahrs_sim.sensors.sampling import rotation
 from estimators.types import SensorInfo
 
 _FOREIGN = Gate()
@@ -190,7 +190,7 @@ def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
 
 
 def _rotation(table: Table) -> np.ndarray:
-    return rotation(*(math.radians(table.number(f"{a}_deg", 0.0)) for a in ("roll", "pitch", "yaw")))
+    return attitude.matrix(*(math.radians(table.number(f"{a}_deg", 0.0)) for a in ("roll", "pitch", "yaw")))
 
 
 def _place(table: Table) -> dict[str, float]:

@@ -169,7 +169,7 @@ def _opened(
     map_ = _synchronised(delay, map_, sync, notes) if reference else map_
     site = Site(
         lla=lla,
-        gravity=gravity_at(lla) if place else survey.G,
+        gravity=gravity_at(lla) if place else gravity.STANDARD,
         mag_n=_NO_FIELD if model is None else (float(model[0]), float(model[1]), float(model[2])),
     )
     sensors = SensorInfo(**{"rate": seen.rate, **map_.sensors})

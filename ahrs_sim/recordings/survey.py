@@ -12,11 +12,11 @@ import numpy as np
 
 from ahrs_sim.evaluation.sync import time_shift
 from ahrs_sim.sensors.records import SuiteBlock
+from ahrs_sim.world.gravity import STANDARD as G
 
 BIN_S = 0.1
 STILL_RATE, STILL_FORCE = math.radians(0.5), 0.15  # rad/s, m/s2: scatter within a second of standing
 STILL_TURN = math.radians(3.0)  # rad/s: a mean that could be a bias
-G = 9.80665
 
 
 @dataclass

@@ -23,8 +23,9 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim.errors import InputError
-from ahrs_sim.sensors.grade import STANDARD_GRAVITY, parse
+from ahrs_sim.sensors.grade import parse
 from ahrs_sim.sensors.suite import SECTIONS
+from ahrs_sim.world import gravity
 
 _MODEL_ERROR = 0.02
 """Relative error that no point of the fit is thought to be better than: real noise is not quite one of three kinds."""
@@ -225,7 +226,7 @@ _SENSORS = {
 
 _SHOWN = {
     "gyro": ("rad/s", 180.0 / math.pi, "deg/s"),
-    "accelerometer": ("m/s2", 1e3 / STANDARD_GRAVITY, "mg"),
+    "accelerometer": ("m/s2", 1e3 / gravity.STANDARD, "mg"),
     "magnetometer": ("T", 1e7, "mG"),
 }
 """Unit in tables of numbers, factor and unit in what people read."""

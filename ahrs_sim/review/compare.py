@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ahrs_sim import attitude
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.evaluation import metrics
 from ahrs_sim.evaluation.accuracy import Accuracy
@@ -184,7 +185,7 @@ def aligned(
         return against, {}
     from ahrs_sim.evaluation import sync as syncing
 
-    t, q_nb = attitude(log, f"/est/{name}/state")
+    t, q_nb = _known_attitudes(log, f"/est/{name}/state")
     within = (t >= low) & (t <= high)
     t, q_nb = t[within], q_nb[within]
     removed: dict[str, Any] = {}
@@ -197,19 +198,19 @@ def aligned(
         times, removed["delay_s"] = times - delay, -delay
     if align is not None and len(t):
         every = max(1, len(t) // 20000)
-        q_nb, q_here = q_nb[::every], metrics.interpolate(times, q_ref, t[::every])
+        q_nb, q_here = q_nb[::every], attitude.interpolate(times, q_ref, t[::every])
         left, right = np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
         if align == "heading":
             half = 0.5 * syncing.heading_offset(q_nb, q_here)
             left = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
         else:
             left, right = syncing.constant_rotations(q_nb, q_here)
-        q_ref = frames.product(frames.product(left[None], q_ref), right[None])
+        q_ref = attitude.product(attitude.product(left[None], q_ref), right[None])
         removed["aligned_deg"] = [math.degrees(2 * math.acos(min(1.0, abs(float(q[0]))))) for q in (left, right)]
     return History(times, q_ref), removed
 
 
-def attitude(log: FlightReader, topic: str) -> tuple[np.ndarray, np.ndarray]:
+def _known_attitudes(log: FlightReader, topic: str) -> tuple[np.ndarray, np.ndarray]:
     """Times (n,) and attitude (n, 4) of an estimator, where it has one."""
     blocks = [(log.seconds(stamps(b)), quaternion(b["orientation"])) for b in log.blocks(topic)]
     t, q_nb = (np.concatenate(column) for column in zip(*blocks, strict=True)) if blocks else (np.empty(0),) * 2

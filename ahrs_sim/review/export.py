@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from ahrs_sim import attitude
 from ahrs_sim.errors import InputError
 from ahrs_sim.evaluation import metrics
 from ahrs_sim.log.flight_reader import FlightReader
@@ -194,12 +195,12 @@ class LogFrames(Mapping[str, "pandas.DataFrame"]):
         import pandas
 
         e, truth = self._log.estimates(name), self._log.truth()
-        errors = np.degrees(metrics.attitude_errors(e.q_nb, e.down_b, metrics.interpolate(truth.t, truth.q_nb, e.t)))
+        errors = np.degrees(metrics.attitude_errors(e.q_nb, e.down_b, attitude.interpolate(truth.t, truth.q_nb, e.t)))
         return pandas.DataFrame(errors, columns=list(metrics.MEASURES), index=pandas.Index(e.t, name="t"))
 
 
 def _angles(q_nb: np.ndarray) -> dict[str, np.ndarray]:
-    roll, pitch, heading = np.degrees(metrics.euler(q_nb)).T
+    roll, pitch, heading = np.degrees(attitude.euler(q_nb)).T
     return {"roll": roll, "pitch": pitch, "heading": np.mod(heading, 360.0)}
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ahrs_sim import attitude
 from ahrs_sim.errors import InputError
 from ahrs_sim.evaluation import consistency, metrics
 from ahrs_sim.evaluation.phases import PHASES
@@ -89,7 +90,7 @@ def _thin(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _continuous(t: np.ndarray, q_nb: np.ndarray) -> np.ndarray:
     """Roll, pitch, heading (n, 3) in deg without jumps."""
-    angles: np.ndarray = np.degrees(metrics.euler(q_nb))
+    angles: np.ndarray = np.degrees(attitude.euler(q_nb))
     angles[:, [0, 2]] = np.unwrap(angles[:, [0, 2]], period=360.0, axis=0)
     return angles
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ahrs_sim import attitude
 from ahrs_sim.errors import InputError
 from ahrs_sim.evaluation import metrics
 from ahrs_sim.log.flight_reader import FlightReader
@@ -139,9 +140,9 @@ def _of(log: FlightReader, name: str, history: metrics.History, low: float, high
     t, first = np.unique(t, return_index=True)
     kept = first[(t >= max(low, history.t[0])) & (t <= min(high, history.t[-1]))]
     t = t[(t >= max(low, history.t[0])) & (t <= min(high, history.t[-1]))]
-    truth = metrics.euler(history.at(t))
+    truth = attitude.euler(history.at(t))
     with np.errstate(invalid="ignore"):
-        angles = np.column_stack([*metrics.roll_pitch(down_b[kept]), metrics.euler(q_nb[kept])[:, 2]])
+        angles = np.column_stack([*attitude.roll_pitch(down_b[kept]), attitude.euler(q_nb[kept])[:, 2]])
     return {
         key: round(1e3 * lag, 2) if math.isfinite(lag) else None
         for key, lag in zip(("attitude_lag_ms", "rate_lag_ms"), lags(t, truth, angles), strict=True)

@@ -20,8 +20,9 @@ from typing import Any
 
 import numpy as np
 
+from ahrs_sim import attitude
 from ahrs_sim.errors import InputError
-from ahrs_sim.evaluation import accuracy, consistency, metrics, phases
+from ahrs_sim.evaluation import accuracy, consistency, phases
 from ahrs_sim.evaluation.metrics import Measure
 from ahrs_sim.evaluation.phases import PHASES
 from ahrs_sim.review import colors
@@ -262,7 +263,7 @@ def _run(flight: FlightTraces, label: str, packer: _Packer, rate: float) -> dict
 def _truth(flight: FlightTraces, clock: _Clock, dt: float) -> dict[str, Any]:
     n = int((clock.end - clock.t0) / dt) + 1
     at = np.minimum(clock.t0 + dt * np.arange(n), clock.end)
-    angles = np.degrees(metrics.euler(metrics.interpolate(flight.t, flight.q_nb, at)))
+    angles = np.degrees(attitude.euler(attitude.interpolate(flight.t, flight.q_nb, at)))
     known = np.isfinite(angles[:, 0])
     for k in (0, 2):
         angles[known, k] = np.unwrap(angles[known, k], period=360.0)
@@ -392,7 +393,7 @@ def _spread(flights: Sequence[FlightTraces], name: str, clock: _Clock, dt: float
             middle = np.degrees(np.angle(np.nanmean(np.exp(1j * np.radians(grid)), axis=0)))
         known = np.isfinite(middle)
         middle[known] = np.unwrap(middle[known], period=360.0)
-        spread = middle + _percentiles(np.degrees(metrics.wrap(np.radians(grid - middle))))
+        spread = middle + _percentiles(np.degrees(attitude.wrap(np.radians(grid - middle))))
         for kept, values in zip((low, error, high), spread, strict=True):
             kept.append(clock.packer.add(values, clock.t0, dt, _fine_step(values)))
         if axis == Measure.TILT:

@@ -25,8 +25,7 @@ import numpy as np
 
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.scenario.table import read_toml
-
-STANDARD_GRAVITY = 9.80665  # m/s2 per g
+from ahrs_sim.world import gravity
 
 MARKS = ("quoted", "firmware", "computed", "inferred", "chosen")
 """From the maker's paper, from its code, by calculation, by reasoning; `chosen`: how it is set up or installed here."""
@@ -43,12 +42,12 @@ UNITS: dict[str, dict[str, float]] = {
     "temperature": {"k": 1.0},
     "revolutions": {"rpm": 1.0},
     "rate": {"dps": _DEG, "mdps": 1e-3 * _DEG, "dph": _DEG / 3600.0, "radps": 1.0},
-    "acceleration": {"mg": STANDARD_GRAVITY * 1e-3, "ug": STANDARD_GRAVITY * 1e-6, "g": STANDARD_GRAVITY, "mps2": 1.0},
+    "acceleration": {"mg": gravity.STANDARD * 1e-3, "ug": gravity.STANDARD * 1e-6, "g": gravity.STANDARD, "mps2": 1.0},
     "field": {"mgauss": 1e-7, "gauss": 1e-4, "ut": 1e-6, "nt": 1e-9},
     "number": {"": 1.0},
     "per_hour": {"per_h": 1.0 / 3600.0},
 }
-_PER = {"rthz": 1.0, "rts": 1.0, "per_k": 1.0, "per_g": 1.0 / STANDARD_GRAVITY, "per_g2": 1.0 / STANDARD_GRAVITY**2}
+_PER = {"rthz": 1.0, "rts": 1.0, "per_k": 1.0, "per_g": 1.0 / gravity.STANDARD, "per_g2": 1.0 / gravity.STANDARD**2}
 
 _WALKS = {
     ("rate", "rthz"): {"deg_rth": math.sqrt(2.0) * _DEG / 60.0},

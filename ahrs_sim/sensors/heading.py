@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ahrs_sim import attitude
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.jit import njit
 from ahrs_sim.sensors.fitting import Fitting
@@ -22,7 +23,7 @@ from ahrs_sim.sensors.grade import figure
 from ahrs_sim.sensors.noise import White, gauss_markov
 from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import HeadingRecord, Record
-from ahrs_sim.sensors.sampling import Clock, nanoseconds, pick, rotation
+from ahrs_sim.sensors.sampling import Clock, nanoseconds, pick
 
 WAVELENGTH = 0.1903  # m, GPS L1
 LEAST_SATELLITES = 6
@@ -62,7 +63,7 @@ class DualAntenna:
         self.misalignment = (
             fitting.stream("heading", "turn-on").standard_normal(2) * f.misalignment
         )  # rad, yaw and pitch
-        self._direction = rotation(0.0, self.misalignment[1], f.baseline_yaw + self.misalignment[0])[:, 0].copy()
+        self._direction = attitude.matrix(0.0, self.misalignment[1], f.baseline_yaw + self.misalignment[0])[:, 0].copy()
         self._white = White(np.array([f.phase_noise / f.baseline]), fitting.stream("heading", "white"))
         wander = np.array([f.phase_wander / f.baseline])
         self._wander = gauss_markov(wander, f.wander_time, self.period, fitting.stream("heading", "wander"))

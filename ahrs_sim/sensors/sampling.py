@@ -113,18 +113,6 @@ def pick(x: np.ndarray, rows: slice) -> np.ndarray:
     return np.ascontiguousarray(x[rows])
 
 
-def rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
-    """C_bs (3, 3): from the axes of a part turned by yaw, pitch, roll (rad, in this order) into those it sits in."""
-    cr, sr, cp, sp, cy, sy = (f(x) for x in (roll, pitch, yaw) for f in (math.cos, math.sin))
-    return np.array(
-        [
-            [cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy],
-            [cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy],
-            [-sp, sr * cp, cr * cp],
-        ]
-    )
-
-
 def nanoseconds(t: np.ndarray) -> np.ndarray:
     """Whole nanoseconds of times in s, int64."""
     return np.rint(t * 1e9).astype(np.int64)

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from ahrs_sim import attitude
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.flight.truth import Event, Truth
 from ahrs_sim.scenario import Component
@@ -32,7 +33,6 @@ from ahrs_sim.sensors.imu import Imu, ImuFigures
 from ahrs_sim.sensors.interferometer import Interferometer, PhaseFigures
 from ahrs_sim.sensors.magnetometer import MagFigures, Magnetometer
 from ahrs_sim.sensors.records import Record, SuiteBlock
-from ahrs_sim.sensors.sampling import rotation
 from ahrs_sim.sensors.triad import GyroFigures, InertialFigures
 from ahrs_sim.sensors.vibration import MotorFigures
 from estimators.types import SensorInfo
@@ -170,8 +170,8 @@ def make_suite(
         epoch=epoch,
         start_lla=start_lla,
         position=position,
-        mount=rotation(roll, pitch, yaw).T,
-        turned=rotation(*error).T,
+        mount=attitude.matrix(roll, pitch, yaw).T,
+        turned=attitude.matrix(*error).T,
         where=component.where,
     )
     return Suite(fitting, has)

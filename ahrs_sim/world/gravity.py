@@ -7,6 +7,8 @@ import numpy as np
 
 from ahrs_sim.world import wgs84
 
+STANDARD = 9.80665  # m/s2, one g of a data sheet (ISO 80000-3)
+
 _EQUATOR = 9.7803253359  # m/s2, normal gravity at the equator
 _K = 0.00193185265241  # Somigliana's constant
 _M = wgs84.EARTH_RATE**2 * wgs84.A**2 * wgs84.B / wgs84.GM

@@ -5,7 +5,8 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from ahrs_sim.evaluation import consistency, metrics
+from ahrs_sim import attitude
+from ahrs_sim.evaluation import consistency
 
 RNG = np.random.default_rng(5)
 
@@ -54,7 +55,7 @@ def test_nees_of_a_consistent_estimator() -> None:
     values = consistency.attitude_nees(estimate, cov, truth)
     low, high = consistency.mean_bounds(3, len(values), 0.999)
     assert low < values.mean() / 3 < high
-    error = metrics.wrap(metrics.euler(estimate) - metrics.euler(truth))
+    error = attitude.wrap(attitude.euler(estimate) - attitude.euler(truth))
     inside = consistency.within(error, consistency.euler_sigma(estimate, cov))
     nothing = consistency.nis(np.full((4000, 2), np.nan), np.full((4000, 2), np.nan))
     result = consistency.summary(values / 3, *nothing, inside)
@@ -85,6 +86,6 @@ def test_euler_sigma_matches_sampled_errors() -> None:
     truth = Rotation.from_euler("ZYX", [1.0, 0.7, -0.5])
     cov = np.diag([1e-6, 4e-6, 9e-6])
     errors = RNG.multivariate_normal(np.zeros(3), cov, 20_000)
-    sampled = metrics.euler((truth * Rotation.from_rotvec(errors)).as_quat(scalar_first=True))
+    sampled = attitude.euler((truth * Rotation.from_rotvec(errors)).as_quat(scalar_first=True))
     q = truth.as_quat(scalar_first=True)[None]
     assert consistency.euler_sigma(q, cov[None])[0] == pytest.approx(sampled.std(axis=0), rel=0.03)

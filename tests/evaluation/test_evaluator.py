@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from ahrs_sim import attitude
 from ahrs_sim.evaluation import metrics, phases
 from ahrs_sim.evaluation.decimate import Decimator, RowDecimator, take
 from ahrs_sim.evaluation.evaluator import Comparison, Evaluator
@@ -20,7 +21,7 @@ def attitudes(t: np.ndarray, offset: float = 0.0) -> np.ndarray:
 
 def estimates(t: np.ndarray, offset: float) -> Estimates:
     q_nb = attitudes(t, offset)
-    return Estimates(**{**blank(Estimates, len(t)), "t": t, "q_nb": q_nb, "down_b": metrics.down(q_nb)})
+    return Estimates(**{**blank(Estimates, len(t)), "t": t, "q_nb": q_nb, "down_b": attitude.down(q_nb)})
 
 
 class Sink:

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
+from ahrs_sim import attitude
 from ahrs_sim.evaluation import metrics
 from ahrs_sim.review.compare import table
 
@@ -19,7 +20,7 @@ def quaternion(roll: float, pitch: float, heading: float) -> np.ndarray:
 
 @given(ANGLE, PITCH, ANGLE)
 def test_euler_inverts_scipy(roll: float, pitch: float, heading: float) -> None:
-    assert metrics.euler(quaternion(roll, pitch, heading))[0] == pytest.approx([roll, pitch, heading], abs=1e-7)
+    assert attitude.euler(quaternion(roll, pitch, heading))[0] == pytest.approx([roll, pitch, heading], abs=1e-7)
 
 
 @given(ANGLE, PITCH, ANGLE, st.tuples(*[st.floats(-1, 1)] * 3))
@@ -27,7 +28,7 @@ def test_total_and_tilt_match_scipy(roll: float, pitch: float, heading: float, v
     truth = Rotation.from_euler("ZYX", [heading, pitch, roll])
     wrong = truth * Rotation.from_rotvec(vector)
     q, r = wrong.as_quat(scalar_first=True)[None], truth.as_quat(scalar_first=True)[None]
-    error = metrics.attitude_errors(q, metrics.down(q), r)[0]
+    error = metrics.attitude_errors(q, attitude.down(q), r)[0]
     assert error[4] == pytest.approx(np.linalg.norm(vector), abs=1e-7)
     downs = truth.inv().apply([0, 0, 1]), wrong.inv().apply([0, 0, 1])
     assert error[3] == pytest.approx(np.arctan2(np.linalg.norm(np.cross(*downs)), np.dot(*downs)), abs=1e-7)
@@ -35,20 +36,20 @@ def test_total_and_tilt_match_scipy(roll: float, pitch: float, heading: float, v
 
 def test_heading_error_wraps() -> None:
     q, r = quaternion(0, 0, np.radians(179.5)), quaternion(0, 0, np.radians(-179.0))
-    assert np.degrees(metrics.attitude_errors(q, metrics.down(q), r)[0, 2]) == pytest.approx(-1.5)
+    assert np.degrees(metrics.attitude_errors(q, attitude.down(q), r)[0, 2]) == pytest.approx(-1.5)
 
 
 def test_total_is_exact_for_tiny_rotations() -> None:
     truth = Rotation.from_euler("ZYX", [2.0, 0.3, -1.0])
     wrong = truth * Rotation.from_rotvec([0, 3e-9, 0])
     q, r = wrong.as_quat(scalar_first=True)[None], truth.as_quat(scalar_first=True)[None]
-    assert metrics.attitude_errors(q, metrics.down(q), r)[0, 4] == pytest.approx(3e-9, rel=1e-5)
+    assert metrics.attitude_errors(q, attitude.down(q), r)[0, 4] == pytest.approx(3e-9, rel=1e-5)
 
 
 def test_without_heading_tilt_still_counts() -> None:
     q = quaternion(0.2, 0.1, 0.0)
     nothing = np.full((1, 4), np.nan)
-    error = metrics.attitude_errors(nothing, metrics.down(q), quaternion(0.25, 0.1, 1.0))[0]
+    error = metrics.attitude_errors(nothing, attitude.down(q), quaternion(0.25, 0.1, 1.0))[0]
     assert error[0] == pytest.approx(-0.05)
     assert np.isnan(error[[2, 4]]).all()
     values = metrics.statistics(error[None])
@@ -60,10 +61,10 @@ def test_interpolation_follows_slerp_and_refuses_to_extrapolate() -> None:
     t = np.arange(0, 1.001, 0.01)
     spin = Rotation.from_rotvec(np.outer(t, [0.3, -2.0, 0.5]))
     at = np.linspace(0.001, 0.999, 77)
-    q = metrics.interpolate(t, spin.as_quat(scalar_first=True), at)
+    q = attitude.interpolate(t, spin.as_quat(scalar_first=True), at)
     expected = Slerp(t, spin)(at).as_quat(scalar_first=True)
     assert np.abs(np.sum(q * expected, axis=1)).min() > 1 - 1e-13
-    assert np.isnan(metrics.interpolate(t, spin.as_quat(scalar_first=True), np.array([-0.1, 1.1]))).all()
+    assert np.isnan(attitude.interpolate(t, spin.as_quat(scalar_first=True), np.array([-0.1, 1.1]))).all()
 
 
 def test_a_gap_of_the_reference_is_not_bridged() -> None:
@@ -73,7 +74,7 @@ def test_a_gap_of_the_reference_is_not_bridged() -> None:
     spin = Rotation.from_rotvec(np.outer(t, [0.3, -2.0, 0.5])).as_quat(scalar_first=True)
     gap = [2.0, 2.25, 2.499]
     at = np.sort(np.r_[np.linspace(0, 1.98, 100), t, gap])
-    assert at[np.isnan(metrics.interpolate(t, spin, at)).any(axis=1)].tolist() == gap
+    assert at[np.isnan(attitude.interpolate(t, spin, at)).any(axis=1)].tolist() == gap
 
 
 def test_statistics_of_known_errors() -> None:

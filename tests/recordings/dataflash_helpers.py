@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from bag_helpers import EPOCH, LLA, Motion
 
-from ahrs_sim.evaluation.metrics import euler
+from ahrs_sim.attitude import euler
 
 HEAD = b"\xa3\x95"
 _DTYPES = {"Q": "<u8", "B": "u1", "H": "<u2", "h": "<i2", "I": "<u4", "f": "<f4", "c": "<i2", "C": "<u2", "e": "<i4",

@@ -338,7 +338,7 @@ euler = {columns = ["roll", "pitch", "yaw"], unit = "deg"}
 
 
 def write_csv(path: Path, m: Motion) -> None:
-    from ahrs_sim.evaluation.metrics import euler
+    from ahrs_sim.attitude import euler
 
     columns = [(ns(m.t) - EPOCH) / 1e6, *np.degrees(m.gyro_b).T, *(m.accel_b / 9.80665).T, *(m.mag_b * 1e7).T,
                np.full(len(m.t), LLA[0]), np.full(len(m.t), LLA[1]), *np.degrees(euler(m.q_nb)).T]  # fmt: skip

@@ -9,9 +9,11 @@ import pytest
 from bag_helpers import motion
 from flights import FIELD_N, Path, Planted, flown, measured
 
+from ahrs_sim import attitude
 from ahrs_sim.recordings import checks, inertial, survey
-from ahrs_sim.recordings.survey import G, Survey
+from ahrs_sim.recordings.survey import Survey
 from ahrs_sim.sensors.records import ImuRecord, MagRecord
+from ahrs_sim.world.gravity import STANDARD as G
 from estimators.types import blank
 
 
@@ -103,9 +105,7 @@ def test_all_orientations_of_a_magnetometer() -> None:
         for part in line.split("[magnetometer] ")[1].split(", "):
             key, value = part.split(" = ")
             values[key.removesuffix("_deg")] = math.radians(float(value))
-        from ahrs_sim.sensors.sampling import rotation
-
-        again = rotation(*(values.get(a, 0.0) for a in ("roll", "pitch", "yaw")))
+        again = attitude.matrix(*(values.get(a, 0.0) for a in ("roll", "pitch", "yaw")))
         np.testing.assert_allclose(again, matrix, atol=1e-9)
 
 

@@ -13,6 +13,7 @@ from bag_helpers import motion, write_bag, write_ulog
 
 import estimators
 from ahrs_sim import pipeline, replay, scenario
+from ahrs_sim.attitude import interpolate, wrap
 from ahrs_sim.cli import main
 from ahrs_sim.errors import InputError
 from ahrs_sim.evaluation import consistency, metrics
@@ -64,14 +65,14 @@ def test_attitudes_and_errors_for_plots(flown: Path) -> None:
             wanted = metrics.attitude_errors(
                 estimates.q_nb[rows],
                 estimates.down_b[rows],
-                metrics.interpolate(truth.t, truth.q_nb, estimates.t[rows]),
+                interpolate(truth.t, truth.q_nb, estimates.t[rows]),
             )
             for measure, values in zip(metrics.MEASURES, wanted.T, strict=True):
                 assert errors[measure] == pytest.approx(values, abs=1e-12, nan_ok=True)
             sigma = consistency.euler_sigma(estimates.q_nb[rows], estimates.att_cov[rows])
             assert errors["heading_sigma"] == pytest.approx(sigma[:, 2], rel=1e-5, nan_ok=True)
             true_heading = np.interp(errors["log_time"], *_heading(log))
-            difference = metrics.wrap(attitude["heading"] - errors["heading"] - true_heading)
+            difference = wrap(attitude["heading"] - errors["heading"] - true_heading)
             assert np.nanmax(np.abs(difference)) < 1e-5
 
 

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ahrs_sim import cli
+from ahrs_sim import attitude, cli
 from ahrs_sim.errors import InputError
-from ahrs_sim.evaluation import metrics
 from ahrs_sim.flight.truth import Event
 from ahrs_sim.review import colors, compare, report
 from ahrs_sim.review.traces import FlightTraces, finding, gather
@@ -130,7 +129,7 @@ def test_ten_estimators_for_ten_minutes_fit(traces: FlightTraces) -> None:
 def test_flights_of_a_campaign_become_bands(traces: FlightTraces, least: int) -> None:
     flights = []
     for k in range(5):
-        error = metrics.wrap(np.radians(least + k))
+        error = attitude.wrap(np.radians(least + k))
         shifted = {n: dataclasses.replace(e, error=np.full_like(e.error, error)) for n, e in traces.estimators.items()}
         flights.append(dataclasses.replace(traces, estimators=shifted))
     data, packed = parts(report.page(flights))

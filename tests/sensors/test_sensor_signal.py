@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ahrs_sim.attitude import matrix
 from ahrs_sim.errors import InputError
-from ahrs_sim.sensors.sampling import BandLimit, Clock, Lag, divider, rotation
+from ahrs_sim.sensors.sampling import BandLimit, Clock, Lag, divider
 
 DT = 1 / 400
 
@@ -77,8 +78,8 @@ def test_divider_refuses_rates_that_do_not_divide() -> None:
 
 
 def test_rotation_is_yaw_then_pitch_then_roll() -> None:
-    np.testing.assert_allclose(rotation(0, 0, np.pi / 2) @ [1, 0, 0], [0, 1, 0], atol=1e-15)
-    np.testing.assert_allclose(rotation(0, np.pi / 2, 0) @ [1, 0, 0], [0, 0, -1], atol=1e-15)
-    np.testing.assert_allclose(rotation(np.pi / 2, 0, 0) @ [0, 1, 0], [0, 0, 1], atol=1e-15)
-    c = rotation(0.3, -0.4, 2.0)
+    np.testing.assert_allclose(matrix(0, 0, np.pi / 2) @ [1, 0, 0], [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(matrix(0, np.pi / 2, 0) @ [1, 0, 0], [0, 0, -1], atol=1e-15)
+    np.testing.assert_allclose(matrix(np.pi / 2, 0, 0) @ [0, 1, 0], [0, 0, 1], atol=1e-15)
+    c = matrix(0.3, -0.4, 2.0)
     np.testing.assert_allclose(c @ c.T, np.eye(3), atol=1e-15)

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from ahrs_sim import attitude
 from ahrs_sim.errors import InputError
-from ahrs_sim.recordings import frames
 from ahrs_sim.recordings.sources import scan
 from ahrs_sim.recordings.sources.base import (
     AIR,
@@ -302,7 +302,7 @@ class DataFlash(Held):
                 if set(quaternion) <= set(rows.dtype.names or ()) and rows["Q1"].any():
                     q = self._vector(written, rows, quaternion)
                 else:
-                    q = frames.from_euler(np.radians(self._vector(written, rows, ("Roll", "Pitch", "Yaw"))))
+                    q = attitude.from_euler(np.radians(self._vector(written, rows, ("Roll", "Pitch", "Yaw"))))
                 yield topic, self._columns(ATTITUDE, rows, {"quaternion": q}, rank=10 * place + k)
 
 

@@ -70,7 +70,7 @@ class Csv(Held):
             entry.close()
             value = scale * np.column_stack([self._named(entry, name) for name in names])
             if key == "euler":
-                from ahrs_sim.recordings.frames import from_euler
+                from ahrs_sim.attitude import from_euler
 
                 value = from_euler(value)
             columns[place] = value
