@@ -5,6 +5,7 @@
 From the records on it is the path of a flight: on a log of ours the same estimators give the same bytes again.
 """
 
+import datetime
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -64,6 +65,7 @@ def replay(
     calibrate: Sequence[str] = (),
     sync: bool = False,
     reference: str | None = None,
+    date: datetime.datetime | None = None,
     skip: float | None = None,
     until: float | None = None,
     only_estimates: bool = False,
@@ -84,6 +86,7 @@ def replay(
         calibrate: "mag", "gyro": from the bag's own data.
         sync: shift a bag's reference to the time of its gyro.
         reference: topic of a bag's reference attitude.
+        date: of a bag whose times are no dates.
         skip, until: estimators see only what was measured in this span, s from the beginning.
         only_estimates: carry nothing along but the truth.
         force: replace an existing log.
@@ -109,15 +112,22 @@ def replay(
         with FlightReader(path) as log:
             foreign = not is_flight(log)
             if not foreign:
-                if map_file or calibrate or sync or reference:
-                    unneeded = "--map, --calibrate, --sync or --reference"
+                if map_file or calibrate or sync or reference or date:
+                    unneeded = "--map, --calibrate, --sync, --reference or --date"
                     raise InputError(f"{path}: a log of ours needs no {unneeded}; leave them out")
                 _run(_cut(of_flight(log, estimators, gate=gate), *span), output, prefixes, force, progress, live)
                 return []
     from ahrs_sim.recordings.mapping import SUITE
     from ahrs_sim.recordings.recording import open_bag
 
-    asked: Any = {"map_file": map_file, "calibrate": calibrate, "sync": sync, "reference": reference, "span": span}
+    asked: Any = {
+        "map_file": map_file,
+        "calibrate": calibrate,
+        "sync": sync,
+        "reference": reference,
+        "date": date,
+        "span": span,
+    }
     with open_bag(path, names=estimators, gate=gate, **asked) as bag:
         reader = getattr(bag.source, "reader", None)
         records = [i for i in bag.instruments if i in INSTRUMENTS]

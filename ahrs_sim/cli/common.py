@@ -1,6 +1,7 @@
 """What several commands share: types of arguments, groups of options, the progress bar, the live server."""
 
 import argparse
+import datetime
 import sys
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, TypeAlias
@@ -36,6 +37,15 @@ def positive(text: str) -> float:
     if not value < 1e9:
         raise argparse.ArgumentTypeError(f"{text} is too large; it must be below 1e9")
     return value
+
+
+def moment(text: str) -> datetime.datetime:
+    """Read a date, with or without a time; without an offset it is UTC."""
+    try:
+        date = datetime.datetime.fromisoformat(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text} is no date; write it like 2026-06-01 or 2026-06-01T10:00") from None
+    return date if date.tzinfo else date.replace(tzinfo=datetime.UTC)
 
 
 def _port(text: str) -> int:

@@ -1,4 +1,4 @@
-"""`ahrs-sim list`: scenarios, aircraft, grades, estimators, layouts, the C interface."""
+"""`ahrs-sim list`: scenarios, aircraft, grades, estimators, layouts, maps, the C interface."""
 
 import argparse
 import json
@@ -87,6 +87,12 @@ def _faults() -> list[dict[str, Any]]:
     return [{"name": kind, "keys": ", ".join(keys)} for kind, keys in reference.faults().items()]
 
 
+def _maps() -> list[dict[str, Any]]:
+    from ahrs_sim.recordings import presets
+
+    return [dict(row) for row in presets.describe()]
+
+
 def _layouts() -> list[dict[str, Any]]:
     from ahrs_sim.log import layouts
 
@@ -99,6 +105,7 @@ _LISTS = {
     "grades": _grades,
     "estimators": _estimators,
     "layouts": _layouts,
+    "maps": _maps,
     "manoeuvres": _manoeuvres,
     "faults": _faults,
 }

@@ -14,6 +14,7 @@ from ahrs_sim.cli.common import (
     add_live,
     add_span,
     gate,
+    moment,
     open_live,
     positive,
 )
@@ -28,7 +29,10 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     )
     add_estimators(command, "of the log's scenario or the map, METHOD@SUITE, or METHOD for a bag; may be repeated")
     add_code(command)
-    command.add_argument("--map", type=Path, metavar="TOML", help="what topics and axes of a bag mean (docs/replay.md)")
+    command.add_argument(
+        "--map", type=Path, metavar="TOML", help="what topics and axes of a bag mean (docs/replay.md); preset:NAME"
+    )
+    command.add_argument("--date", type=moment, help="when it was, where its times start near 0: 2026-06-01")
     command.add_argument(
         "--calibrate", action="append", default=[], choices=["mag", "gyro"], help="from the bag's own data"
     )
@@ -52,7 +56,7 @@ def run(arguments: argparse.Namespace) -> None:
     from ahrs_sim.errors import FlightError
 
     changed = arguments.map or arguments.calibrate or arguments.sync or arguments.align
-    changed = changed or arguments.skip or arguments.until or arguments.reference
+    changed = changed or arguments.skip or arguments.until or arguments.reference or arguments.date
     if not (arguments.output or changed or arguments.live is not None) and _evaluate_only(arguments):
         return
     live = open_live(arguments)
@@ -68,6 +72,7 @@ def run(arguments: argparse.Namespace) -> None:
                 calibrate=arguments.calibrate,
                 sync=arguments.sync,
                 reference=arguments.reference,
+                date=arguments.date,
                 skip=arguments.skip,
                 until=arguments.until,
                 only_estimates=arguments.output is None and live is None,

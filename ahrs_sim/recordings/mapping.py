@@ -29,6 +29,7 @@ Everything in a map is optional:
     declination_deg = 0.6   # instead of the World Magnetic Model's
     [time]
     stamps = "header"       # or "log"
+    date = 2026-06-01T10:00:00Z     # where the times start near 0
     fix_s = -0.2            # added to the stamps of a topic
     [sensors]               # data sheet figures, SI, as in estimators.SensorInfo
     gyro_noise = 5e-4
@@ -37,6 +38,7 @@ Everything in a map is optional:
 """
 
 import dataclasses
+import datetime
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -50,11 +52,11 @@ from ahrs_sim import attitude
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.log import messages
 from ahrs_sim.log.mcap.reader import vector
-from ahrs_sim.recordings import frames
+from ahrs_sim.recordings import frames, presets
 from ahrs_sim.recordings.frames import ORIENTATIONS
 from ahrs_sim.recordings.sources import UNITS, Source, Topic
 from ahrs_sim.scenario import Component, Gate, estimator_component
-from ahrs_sim.scenario.table import Table, read_toml
+from ahrs_sim.scenario.table import Table
 from estimators.types import SensorInfo
 
 _FOREIGN = Gate()
@@ -117,6 +119,7 @@ class Map:
     shifts: Mapping[str, int]  # ns, by kind
     sensors: Mapping[str, Any]
     estimators: tuple[Component, ...]
+    date: datetime.datetime | None = None  # of the recording, where its own times are none
 
     def mag_axes(self, body: str) -> np.ndarray:
         """(3, 3) from a magnetometer's messages in `body` axes to the vehicle's FRD."""
@@ -130,7 +133,8 @@ def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
     Raises:
         InputError: file, table and key of what is wrong.
     """
-    table = read_toml(path) if path else Table({}, "no map")
+    table = presets.read(path) if path else Table({}, "no map")
+    table.text("preset", "")  # the map that it builds on: already taken into it
     topics = table.table("topics")
     named = {kind: topics.text(kind) for kind in KINDS if topics.has(kind)}
     topics.close()
@@ -156,6 +160,7 @@ def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
     gyro_bias = imu.vector("gyro_bias", [0.0, 0.0, 0.0])
     imu.close()
     clock = table.table("time")
+    date = clock.date("date") if clock.has("date") else None
     stamps = clock.choice("stamps", ["header", "log"], None)
     shifts = {kind: round(clock.number(f"{kind}_s", 0.0) * 1e9) for kind in KINDS}
     clock.close()
@@ -178,6 +183,7 @@ def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
         gyro_bias=gyro_bias,
         place=_place(table.table("place")),
         stamps=stamps,
+        date=date,
         shifts=shifts,
         sensors=_sensors(table.table("sensors")),
         estimators=tuple(

@@ -14,10 +14,10 @@ import numpy as np
 import estimators as library
 from ahrs_sim.errors import InputError
 from ahrs_sim.recordings import calibration as calibrating
-from ahrs_sim.recordings import checks, frames, inertial, mapping, survey
+from ahrs_sim.recordings import checks, frames, inertial, mapping, presets, survey
 from ahrs_sim.recordings.convert import RECORDED, Calibration, Converter
 from ahrs_sim.recordings.mapping import SUITE, Choice, Map
-from ahrs_sim.recordings.sources import Source, open_source
+from ahrs_sim.recordings.sources import DATES_FROM_NS, Source, open_source
 from ahrs_sim.scenario import Component, Gate, code, estimator_component, short_name
 from ahrs_sim.sensors.records import SuiteBlock, within
 from ahrs_sim.world import gravity, magnetic
@@ -83,6 +83,7 @@ def open_bag(
     span: tuple[float, float] = (0.0, math.inf),
     gate: Gate = _FOREIGN,
     reference: str | None = None,
+    date: datetime.datetime | None = None,
 ) -> Bag:
     """Open a recording, choose its topics, look at it once.
 
@@ -95,17 +96,25 @@ def open_bag(
         span: s from the beginning; what was measured outside of it is left out.
         gate: what code from outside may run besides that of `names`.
         reference: topic of the reference attitude, before what the map says.
+        date: of the recording, before what the map or its times say.
 
     Raises:
         InputError: the file, the map or something asked for is wrong.
     """
     gate = gate.also(code.named(names))
-    map_ = mapping.load(map_file, gate)
+    preset = presets.fitting(path) if map_file is None else None
+    map_ = mapping.load(Path(f"{presets.PREFIX}{preset}") if preset else map_file, gate)
     if reference is not None:
         map_ = dataclasses.replace(map_, topics={**map_.topics, "reference": reference})
+    map_ = dataclasses.replace(map_, date=date or map_.date)
     source = open_source(path, map_.table)
+    if preset:
+        source.notes.insert(0, f"files and columns are those of --map {presets.PREFIX}{preset}")
     try:
         return _opened(source, map_, calibrate, sync, names, span, gate)
+    except InputError as error:
+        source.close()
+        raise type(error)("; ".join([str(error), *source.notes[:2]])) from None
     except BaseException:
         source.close()
         raise
@@ -139,7 +148,7 @@ def _opened(
         notes.append("header stamps are of another clock: times of the log are used ([time] stamps)")
 
     place = _place(seen, map_)
-    model = _field(place, source.epoch_ns, map_, notes)
+    model = _field(place, source, map_, notes)
     norm = float(np.linalg.norm(model)) if model is not None else None
     calibration, kept = _calibrated(seen, map_, chosen, calibrate, norm, notes)
     axes = map_.mag_axes(chosen["mag"].body if "mag" in chosen else "FLU")
@@ -217,20 +226,34 @@ def _place(seen: survey.Survey, map_: Map) -> tuple[float, float, float] | None:
     return latitude, longitude, given.get("altitude_m", height)
 
 
-def _field(place: tuple[float, float, float] | None, epoch_ns: int, map_: Map, notes: list[str]) -> np.ndarray | None:
+def _field(place: tuple[float, float, float] | None, source: Source, map_: Map, notes: list[str]) -> np.ndarray | None:
     """Field of the place (3,) T in NED, by the model of the date; None without a place."""
     if place is None:
         return None
-    date = datetime.datetime.fromtimestamp(epoch_ns / 1e9, datetime.UTC)
-    year, lla = magnetic.decimal_year(date), np.array([place])
-    near = min(max(year, magnetic.FIRST), magnetic.LAST - 0.01)
-    field = magnetic.wmm(lla, near)[0]
-    if near != year:
+    lla, middle = np.array([place]), 0.5 * (magnetic.FIRST + magnetic.LAST)
+    date = map_.date
+    if date is None and source.epoch_ns >= DATES_FROM_NS:
+        date = datetime.datetime.fromtimestamp(source.epoch_ns / 1e9, datetime.UTC)
+    year = middle if date is None else magnetic.decimal_year(date)
+    if date is None:
+        notes.append(
+            f"the time starts at {source.epoch_ns / 1e9:.0f} s, which is no date: field of {middle:.1f} "
+            "(--date, [time] date)"
+        )
+    if magnetic.FIRST <= year <= magnetic.LAST:
+        field = magnetic.wmm(lla, min(year, magnetic.LAST - 0.01))[0]
+    elif magnetic.IGRF_FIRST <= year < magnetic.FIRST:
+        field = magnetic.igrf(lla, year)[0]
+        notes.append(f"{year:.1f} is before WMM2025: field by IGRF-14")
+    else:
         # The model says how the field changes; years away it is off by some tenths of a degree, not by degrees.
         ends = [magnetic.wmm(lla, y)[0] for y in (magnetic.FIRST, magnetic.LAST - 0.01)]
-        years = min(max(year - near, -25.0), 25.0)
-        field = field + years * (ends[1] - ends[0]) / (magnetic.LAST - 0.01 - magnetic.FIRST)
-        notes.append(f"{date:%Y} is outside of WMM2025: field carried on by its change ([place] declination_deg)")
+        years = min(max(year - magnetic.LAST, -25.0), 25.0)
+        field = ends[1] + years * (ends[1] - ends[0]) / (magnetic.LAST - 0.01 - magnetic.FIRST)
+        notes.append(
+            f"{year:.1f} is {year - magnetic.LAST:.1f} years after WMM2025: field carried on by its change "
+            "([place] declination_deg)"
+        )
     field = _turned(field, map_.place.get("declination_deg"))
     declination = math.degrees(math.atan2(field[1], field[0]))
     notes.append(f"field of the place {_vector(field * 1e6)} uT NED, declination {declination:.2f} deg")

@@ -18,6 +18,9 @@ _CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 FIRST, LAST = 2025.0, 2030.0
 """Validity of WMM2025, decimal years."""
 
+IGRF_FIRST, IGRF_LAST = 1900.0, 2030.0
+"""Validity of IGRF-14, decimal years."""
+
 
 class MagneticField:
     """The field at one date.
@@ -91,6 +94,58 @@ def wmm(lla: np.ndarray, year: float) -> np.ndarray:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it warns near the magnetic poles, where a compass is weak but the field right
         return np.stack([model.get_Bx(), model.get_By(), model.get_Bz()], axis=-1) * 1e-9
+
+
+def igrf(lla: np.ndarray, year: float) -> np.ndarray:
+    """International Geomagnetic Reference Field 14: (n, 3) T in NED at `lla` (n, 3) for a decimal `year`, 1900 to 2030.
+
+    Between its epochs, five years apart, the coefficients change evenly (Alken et al. 2021, eq. 2).
+
+    Raises:
+        InputError: the year is outside of the model.
+    """
+    from geomaglib import legendre, magmath, sh_vars, util
+
+    epochs = _igrf_coefficients()
+    known = [epoch for epoch in epochs if epoch <= year]
+    if not known or year > IGRF_LAST:
+        raise InputError(f"{year:.1f} is outside of IGRF-14, {IGRF_FIRST:.0f} to {IGRF_LAST:.0f}")
+    degree, terms = epochs[known[-1]]
+    later = min((epoch for epoch in epochs if epoch > year), default=None)
+    if later is None:
+        g, h = terms[:, 0] + (year - known[-1]) * terms[:, 2], terms[:, 1] + (year - known[-1]) * terms[:, 3]
+    else:
+        share = (year - known[-1]) / (later - known[-1])
+        degree, after = epochs[later] if epochs[later][0] > degree else (degree, epochs[later][1])
+        size = (degree + 1) * (degree + 2) // 2
+        before = np.zeros((size, 4))
+        before[: len(terms)] = terms
+        mixed = before[:, :2] + share * (after[:size, :2] - before[:, :2])
+        g, h = mixed[:, 0], mixed[:, 1]
+    latitude, longitude = np.degrees(lla[:, 0]), np.degrees(lla[:, 1])
+    radius, geocentric = (np.array(x) for x in util.geod_to_geoc_lat(latitude, lla[:, 2] / 1000.0))
+    harmonics = sh_vars.comp_sh_vars(longitude, radius, geocentric, degree)
+    functions = legendre.Flattened_Chaos_Legendre1(degree, 90.0 - geocentric)
+    field = magmath.mag_SPH_summation(degree, harmonics, g, h, functions, geocentric)
+    return np.stack(magmath.rotate_magvec(*field, geocentric, latitude), axis=-1) * 1e-9
+
+
+@lru_cache(maxsize=1)
+def _igrf_coefficients() -> dict[float, tuple[int, np.ndarray]]:
+    """By epoch: degree, and g, h and their change a year (k, 4) in nT, in the order of degree and order."""
+    from importlib.resources import files
+
+    found: dict[float, tuple[int, np.ndarray]] = {}
+    rows: list[list[float]] = []
+    for line in (files("geomaglib") / "cof" / "IGRF14_sv.COF").read_text(encoding="ascii").splitlines():
+        words = line.split()
+        if words[0][1:].startswith("GRF"):
+            rows = [[0.0, 0.0, 0.0, 0.0]]
+            epoch, degree = float(words[1]), int(words[2])
+        else:
+            rows.append([float(x) for x in words[2:6]])
+            found[epoch] = degree, np.array(rows)
+    return found
 
 
 def decimal_year(date: datetime.datetime) -> float:

@@ -24,7 +24,7 @@ def moving() -> Motion:
 def samples_of(path: Path) -> tuple[Samples, list[str]]:
     with open_bag(path, map_file=None) as bag:
         assembler = Assembler()
-        return Samples.concatenate([assembler.process(block["bag"]) for block in bag.blocks()]), bag.notes
+        return Samples.concatenate([assembler.assemble(block["bag"]) for block in bag.blocks()]), bag.notes
 
 
 @pytest.mark.parametrize("units", [True, False])

@@ -26,7 +26,7 @@ def samples_of(path: Path) -> tuple[Samples, dict[str, str], list[str]]:
     with open_bag(path, map_file=None) as bag:
         chosen = {kind: choice.topic.name for kind, choice in bag.converter.chosen.items()}
         assembler = Assembler()
-        return Samples.concatenate([assembler.process(block["bag"]) for block in bag.blocks()]), chosen, bag.notes
+        return Samples.concatenate([assembler.assemble(block["bag"]) for block in bag.blocks()]), chosen, bag.notes
 
 
 def test_the_receiver_that_the_autopilot_used(tmp_path: Path, moving: Motion) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ahrs_sim.errors import InputError
+from ahrs_sim.world import magnetic
 from ahrs_sim.world.magnetic import MagneticField, decimal_year, field_n, wmm
 
 EPOCH = datetime.datetime(2026, 6, 1, 10, tzinfo=datetime.UTC)
@@ -65,3 +66,32 @@ def test_a_date_without_a_model_is_refused():
 def test_decimal_year():
     assert decimal_year(datetime.datetime(2026, 7, 2, 12, tzinfo=datetime.UTC)) == pytest.approx(2026.5)
     assert decimal_year(datetime.datetime(2028, 12, 31, 23, 59)) < 2029.0
+
+
+@pytest.mark.parametrize(
+    ("year", "latitude", "longitude", "field"),
+    [  # test values of the World Magnetic Models 2015 and 2020 (NOAA NCEI), at the ellipsoid, nT
+        (2015.0, 80.0, 0.0, (6627.1, -445.9, 54432.3)),
+        (2015.0, 0.0, 120.0, (39518.2, 392.9, -11252.4)),
+        (2015.0, -80.0, 240.0, (5797.3, 15761.1, -52919.1)),
+        (2020.0, 80.0, 0.0, (6570.4, -146.3, 54606.0)),
+        (2020.0, 0.0, 120.0, (39624.3, 109.9, -10932.5)),
+        (2020.0, -80.0, 240.0, (5940.6, 15772.1, -52480.8)),
+    ],
+)
+def test_igrf_agrees_with_the_models_of_its_years(
+    year: float, latitude: float, longitude: float, field: tuple[float, float, float]
+) -> None:
+    lla = np.array([[np.radians(latitude), np.radians(longitude), 0.0]])
+    assert magnetic.igrf(lla, year)[0] * 1e9 == pytest.approx(field, abs=60.0)
+
+
+def test_igrf_goes_on_from_epoch_to_epoch() -> None:
+    lla = np.array([[0.8, 0.1, 500.0], [-0.5, 2.0, 0.0]])
+    for year in (1995.0, 2000.0, 2020.0, 2025.0):
+        np.testing.assert_allclose(magnetic.igrf(lla, year - 1e-6), magnetic.igrf(lla, year), atol=1e-12)
+    assert np.abs(magnetic.igrf(lla, 2026.5) - magnetic.wmm(lla, 2026.5)).max() < 1e-7
+    middle = 0.5 * (magnetic.igrf(lla, 2010.0) + magnetic.igrf(lla, 2015.0))
+    np.testing.assert_allclose(magnetic.igrf(lla, 2012.5), middle, atol=1e-11)
+    with pytest.raises(InputError, match="outside of IGRF-14"):
+        magnetic.igrf(lla, 1899.0)

@@ -11,7 +11,7 @@ What is wrong with a file is one `InputError` naming it.
 
 import contextlib
 import functools
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,13 +55,15 @@ class LogReader:
 
     Args:
         path: an MCAP file.
+        known: definitions of a type by its name (KeyError: none), for CDR whose schema is of another form.
 
     Raises:
         InputError: not there, not MCAP, unfinished or damaged; the message says what to do.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, known: Callable[[str], Definitions] | None = None) -> None:
         self.path = Path(path)
+        self._known = known
         self._file = LogFile(self.path)
         self._contents = self._file.contents
         self._definitions: dict[int, Definitions] = {}  # by channel, of those that have been asked for
@@ -121,6 +123,11 @@ class LogReader:
         """Log time of the first and the last message, ns since 1970; (0, 0) without messages."""
         pieces = self._contents.pieces
         return min((p.start for p in pieces), default=0), max((p.end for p in pieces), default=0)
+
+    @property
+    def pieces_ns(self) -> list[tuple[int, int]]:
+        """First and last log time of each portion of the file, ns since 1970."""
+        return [(p.start, p.end) for p in self._contents.pieces]
 
     @property
     def epoch_ns(self) -> int:
@@ -305,26 +312,42 @@ class LogReader:
         for number in numbers:
             channel = self._contents.channels[number]
             schema = self._contents.schemas.get(channel.schema_id)
-            if channel.message_encoding != "cdr" or schema is None or schema.encoding != "ros2msg":
+            if channel.message_encoding != "cdr" or schema is None or not self._described(schema):
                 form = f"'{channel.message_encoding}' with '{schema.encoding if schema else 'no'}' schema"
                 raise InputError(
                     f"{self.path}: topic {topic} is {form}; only ROS 2 messages ('cdr' with 'ros2msg') can be read"
                 )
-            kinds.add((schema.name, schema.data))
             if number not in self._definitions:
                 try:
-                    definitions = parse_definitions(schema.name, schema.data.decode(errors="replace"))
+                    if schema.encoding == "ros2msg":
+                        definitions = parse_definitions(schema.name, schema.data.decode(errors="replace"))
+                    else:
+                        definitions = self._of_known(schema.name) or {}
                     inner = message_dtype(definitions, schema.name)
                     columns = [("log_time", "<i8"), *((name, inner[name]) for name in inner.names or ())]
                     self._dtypes[number] = np.dtype(columns)
                     self._definitions[number] = definitions
                 except (CdrError, ValueError) as error:
                     raise InputError(f"{self.path}: topic {topic}: {error}") from None
+            # Texts may differ in comments; what counts is the fields.
+            kinds.add((schema.name, tuple(sorted(self._definitions[number].items()))))
         if len(kinds) > 1:
             raise InputError(
                 f"{self.path}: topic {topic} carries messages of different types; it cannot be read as one"
             )
         return numbers
+
+    def _described(self, schema: Schema) -> bool:
+        """Whether a schema says how its messages look, or names a type that is known."""
+        return schema.encoding == "ros2msg" or (
+            schema.encoding == "ros2idl" and self._of_known(schema.name) is not None
+        )
+
+    def _of_known(self, name: str) -> Definitions | None:
+        try:
+            return self._known(name) if self._known else None
+        except KeyError:
+            return None
 
     def _dtype(self, numbers: list[int]) -> np.dtype[Any]:
         return self._dtypes[numbers[0]]

@@ -1,7 +1,7 @@
 """Any recording as topics of standard ROS messages: structured arrays as `LogReader` gives them, block by block.
 
-mcap        ROS 2 bags in MCAP, by our own reader
-rosbag      ROS 2 bags in SQLite, by rosbags
+mcap        MCAP: ROS 2 by our own reader; ROS 1, JSON, protobuf of the standard types
+rosbag      ROS 2 bags in SQLite and ROS 1 bags, by rosbags
 ulog        PX4's ULog
 dataflash   ArduPilot's DataFlash
 tables      CSV and the like, by pandas
@@ -12,13 +12,13 @@ What is no bag is laid out as the standard messages, so that whatever follows kn
 from pathlib import Path
 
 from ahrs_sim.errors import InputError
-from ahrs_sim.recordings.sources.base import UNITS, Source, Topic
+from ahrs_sim.recordings.sources.base import DATES_FROM_NS, UNITS, Source, Topic
 from ahrs_sim.scenario.table import Table
 
-__all__ = ["UNITS", "Source", "Topic", "is_mcap", "open_source"]
+__all__ = ["DATES_FROM_NS", "UNITS", "Source", "Topic", "is_mcap", "looks_like_text", "open_source"]
 
 READS = (
-    "ROS 2 bags (.mcap, .db3, their folder), PX4 (.ulg), ArduPilot (.bin), "
+    "MCAP, ROS bags (.mcap, .db3, their folder, .bag), PX4 (.ulg), ArduPilot (.bin), "
     "and .csv or any table of text with [csv] in --map"
 )
 
@@ -38,10 +38,10 @@ def open_source(path: Path, mapping: Table) -> Source:
         from ahrs_sim.recordings.sources.mcap import Mcap
 
         return Mcap(path)
-    if kind == "db3":
-        from ahrs_sim.recordings.sources.rosbag import Db3
+    if kind in ("db3", "ros1"):
+        from ahrs_sim.recordings.sources.rosbag import Rosbag
 
-        return Db3(path)
+        return Rosbag(path, version=1 if kind == "ros1" else 2)
     if kind == "ulog":
         from ahrs_sim.recordings.sources.ulog import Ulog
 
@@ -57,23 +57,43 @@ def open_source(path: Path, mapping: Table) -> Source:
     raise InputError(f"{path}: not a recording known here; can be read: {READS}")
 
 
+def looks_like_text(path: Path) -> bool:
+    """Whether a file begins like a table of text: no zero bytes, and of no kind known by its first bytes."""
+    try:
+        with path.open("rb") as stream:
+            beginning = stream.read(4096)
+    except OSError:
+        return False
+    known = any(beginning.startswith(magic) for magic, _ in _BEGINNINGS)
+    return bool(beginning) and not known and (b"\0" not in beginning or beginning[:2] in (b"\xff\xfe", b"\xfe\xff"))
+
+
 def is_mcap(path: Path) -> bool:
     """Whether it is to be read as an MCAP file: it begins as one, or nothing says that it is something else."""
     return _kind(path, Table({}, "")) == "mcap"
 
 
-_SUFFIXES = {".mcap": "mcap", ".db3": "db3", ".ulg": "ulog", ".ulog": "ulog", ".bin": "dataflash", ".csv": "csv"}
+_SUFFIXES = {
+    ".mcap": "mcap",
+    ".db3": "db3",
+    ".ulg": "ulog",
+    ".ulog": "ulog",
+    ".bin": "dataflash",
+    ".csv": "csv",
+    ".bag": "ros1",
+}
 _BEGINNINGS = (
     (b"\x89MCAP0\r\n", "mcap"),
     (b"SQLite format 3\0", "db3"),
     (b"\x55\x4c\x6f\x67\x01\x12\x35", "ulog"),
     (b"\xa3\x95\x80", "dataflash"),
+    (b"#ROSBAG V2", "ros1"),
 )
 
 
 def _kind(path: Path, mapping: Table) -> str:
     if path.is_dir():
-        return "db3"
+        return "csv" if mapping.has("csv") else "db3"
     try:
         with path.open("rb") as stream:
             beginning = stream.read(16)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ahrs_sim.errors import InputError
 from ahrs_sim.log import messages
-from ahrs_sim.log.mcap.cdr import message_dtype
+from ahrs_sim.log.mcap.cdr import Definitions, message_dtype
 from ahrs_sim.world import gravity
 
 FRD, NED = "base_link_frd", "map_ned"
@@ -99,7 +99,7 @@ class Columns:
 
 def laid_out(columns: Columns) -> np.ndarray:
     """Messages (n,) of a type as `LogReader` would give them."""
-    out = np.zeros(len(columns.ns), _dtype(columns.type_name))
+    out = np.zeros(len(columns.ns), dtype_of(columns.type_name))
     ns = out["log_time"] = columns.ns
     out["header"]["stamp"]["sec"], out["header"]["stamp"]["nanosec"] = ns // 10**9, ns % 10**9
     out["header"]["frame_id"] = columns.frame_id
@@ -115,8 +115,9 @@ def laid_out(columns: Columns) -> np.ndarray:
     return out
 
 
-def _dtype(type_name: str) -> np.dtype[Any]:
-    inner = message_dtype(messages.definitions(type_name), type_name)
+def dtype_of(type_name: str, definitions: Definitions | None = None) -> np.dtype[Any]:
+    """Type of arrays of messages: `log_time` (ns), then their fields; our own definitions unless others are given."""
+    inner = message_dtype(definitions or messages.definitions(type_name), type_name)
     return np.dtype([("log_time", "<i8"), *((f, inner[f]) for f in inner.names or ())])
 
 
@@ -143,7 +144,7 @@ class Held:
 
     def dtype(self, topic: str) -> np.dtype[Any]:
         """Type of the messages of a topic."""
-        return _dtype(self._topics[topic].type_name)
+        return dtype_of(self._topics[topic].type_name)
 
     def blocks(self, topics: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
         """In portions of ten seconds."""

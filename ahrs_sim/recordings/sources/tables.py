@@ -1,101 +1,619 @@
-"""Tables of numbers (`.csv` and the like), whose columns the user's map names."""
+"""Tables of text (`.csv` and the like), one file or several, whose columns the user's map names.
 
-from collections.abc import Mapping
+    [csv]
+    separator = ";"         # else found: comma, semicolon, tab, bar, blanks
+    decimal = ","           # else found
+    encoding = "cp1252"     # else UTF-8, UTF-16 with its mark, cp1252
+    comment = "//"          # lines that begin so are left out; else those before the header
+    skip_rows = 3           # lines before the header; else found
+    file = "log.csv"        # of a folder; a pattern will do
+    time = {column = "t", unit = "ms"}      # or a number of seconds as unit; ISO 8601 needs none
+    time = {column = "t", format = "%d.%m.%Y %H:%M:%S.%f"}
+    time = {week = "gps_week", seconds = "gps_tow", unit = "s"}
+    time = {year = "Y", month = "M", day = "D", hour = "h", minute = "m", second = "s"}
+    [csv.imu]
+    file = "imu0/data.csv"  # where each kind has a file of its own; likewise time, optional = true
+    gyro = {columns = ["gx", "gy", "gz"], unit = "deg/s"}       # unit: else as the header says, `gx (deg/s)`
+
+A column is found by its name, without regard to case and punctuation, "a|b" is either, "*:x" ends in `:x`.
+"""
+
+import io
+import itertools
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ahrs_sim import attitude
 from ahrs_sim.errors import InputError, nearest
-from ahrs_sim.recordings.sources.base import FRD, NED, UNITS, Columns, Held, one_line
+from ahrs_sim.recordings.sources.base import (
+    AIR,
+    ATTITUDE,
+    FIX,
+    FRD,
+    HEADING,
+    IMU,
+    MAG,
+    NED,
+    PRESSURE,
+    UNITS,
+    VELOCITY,
+    Columns,
+    Held,
+    from_gps,
+    longest_part,
+    one_line,
+)
 from ahrs_sim.scenario.table import Table
 
-_CSV_KINDS: dict[str, tuple[str, dict[str, tuple[str, int]]]] = {  # type, and its fields from keys of the map
-    "imu": ("sensor_msgs/msg/Imu", {"gyro": ("angular_velocity", 3), "accel": ("linear_acceleration", 3)}),
-    "mag": ("sensor_msgs/msg/MagneticField", {"field": ("magnetic_field", 3)}),
+_KINDS: dict[str, tuple[str, dict[str, tuple[str, int, str]]]] = {  # type; by key of the map: field, size, dimension
+    "imu": (IMU, {"gyro": ("angular_velocity", 3, "rad/s"), "accel": ("linear_acceleration", 3, "m/s2")}),
+    "mag": (MAG, {"field": ("magnetic_field", 3, "T")}),
     "fix": (
-        "sensor_msgs/msg/NavSatFix",
-        {"latitude": ("latitude", 1), "longitude": ("longitude", 1), "altitude": ("altitude", 1)},
+        FIX,
+        {
+            "latitude": ("latitude", 1, "deg"),
+            "longitude": ("longitude", 1, "deg"),
+            "altitude": ("altitude", 1, "m"),
+            "status": ("status__status", 1, ""),
+        },
     ),
-    "velocity": ("geometry_msgs/msg/TwistStamped", {"velocity": ("twist__linear", 3)}),
-    "heading": ("ahrs_sim_msgs/msg/Heading", {"heading": ("heading", 1)}),
-    "diff_pressure": ("sensor_msgs/msg/FluidPressure", {"pressure": ("fluid_pressure", 1)}),
-    "static_pressure": ("sensor_msgs/msg/FluidPressure", {"pressure": ("fluid_pressure", 1)}),
-    "air": ("ahrs_sim_msgs/msg/AirData", {"airspeed": ("airspeed", 1)}),
-    "reference": ("sensor_msgs/msg/Imu", {"euler": ("orientation", 3), "quaternion": ("orientation", 4)}),
+    "velocity": (VELOCITY, {"velocity": ("twist__linear", 3, "m/s"), "polar": ("twist__linear", 3, "m/s")}),
+    "heading": (HEADING, {"heading": ("heading", 1, "rad")}),
+    "diff_pressure": (PRESSURE, {"pressure": ("fluid_pressure", 1, "Pa")}),
+    "static_pressure": (PRESSURE, {"pressure": ("fluid_pressure", 1, "Pa")}),
+    "air": (AIR, {"airspeed": ("airspeed", 1, "m/s")}),
+    "reference": (ATTITUDE, {"euler": ("quaternion", 3, "rad"), "quaternion": ("quaternion", 4, "")}),
 }
 _CHANGES_ONLY = ("fix", "velocity", "heading")
-_DEGREES = ("latitude", "longitude")
+_SPELT = {
+    "us": "us", "usec": "us", "µs": "us", "ms": "ms", "msec": "ms", "ns": "ns", "nsec": "ns", "s": "s", "sec": "s",
+    "rads1": "rad/s", "rads": "rad/s", "rad/s": "rad/s", "rads^-1": "rad/s", "radians/second": "rad/s",
+    "deg/s": "deg/s", "°/s": "deg/s", "dps": "deg/s", "degs^-1": "deg/s", "degrees/second": "deg/s",
+    "m/s^2": "m/s2", "m/s2": "m/s2", "m/s²": "m/s2", "ms^-2": "m/s2", "ms-2": "m/s2", "g": "g", "mg": "mg",
+    "µt": "uT", "ut": "uT", "nt": "nT", "t": "T", "gauss": "G", "mgauss": "mG", "deg": "deg", "°": "deg",
+    "degrees": "deg", "rad": "rad", "radians": "rad", "m": "m", "meters": "m", "m/s": "m/s", "ms-1": "m/s",
+    "ms^-1": "m/s", "hpa": "hPa", "pa": "Pa", "pascal": "Pa", "mbar": "mbar", "kpa": "kPa", "km/h": "km/h",
+}  # fmt: skip
+"""Units as headers spell them, in small letters without blanks, dots and stars."""
+
+_DIMENSIONS = {
+    "rad/s": ("rad/s", "deg/s"), "m/s2": ("m/s2", "m/s^2", "g", "mg"), "T": ("T", "uT", "nT", "G", "mG"),
+    "deg": ("deg", "rad"), "rad": ("rad", "deg"), "m": ("m", "ft"), "m/s": ("m/s", "km/h", "kt"),
+    "Pa": ("Pa", "hPa", "mbar", "kPa"),
+}  # fmt: skip
+_BRACKETS = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
+_SEPARATORS = (",", ";", "\t", "|")
+_ISO = re.compile(r"^\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
+_FEWEST_TIMES = 0.5
+"""Share of the rows of an IMU that must have a time of their own."""
+
+CSV_KEYS = ("separator", "decimal", "encoding", "comment", "skip_rows", "file", "time")
+
+
+@dataclass
+class _File:
+    """One file, read."""
+
+    path: Path
+    frame: Any  # pandas
+    units: list[str]  # by column, "" where the header says nothing
+    first_row: int  # line of the first data row, from 1
+    notes: list[str] = field(default_factory=list)
+
+    def place(self, name: str) -> int:
+        """Index of a column; -1: there is none."""
+        names = [str(c) for c in self.frame.columns]
+        for one in name.split("|") if name not in names else [name]:
+            if one in names:
+                return names.index(one)
+            if one.startswith("*"):
+                found = [i for i, n in enumerate(names) if n.endswith(one[1:])]
+            else:
+                found = [i for i, n in enumerate(names) if _plain(n) == _plain(one)]
+            if found:
+                return found[0]
+        return -1
+
+    def numbers(self, name: str, table: Table, key: str = "columns") -> np.ndarray:
+        """A column (n,) as numbers, NaN where there is none; what is no number is counted."""
+        import pandas
+
+        i = self.place(name)
+        if i < 0:
+            known = [str(c) for c in self.frame.columns]
+            raise table.error(key, f"no column '{name}' in the file{nearest(name, known)}")
+        column = self.frame.iloc[:, i]
+        numbers: np.ndarray = pandas.to_numeric(column, errors="coerce").to_numpy(float)
+        if column.dtype.kind not in "fiu":
+            lost = np.flatnonzero(np.isnan(numbers) & column.notna().to_numpy())
+            if len(lost) and len(lost) == int(column.notna().sum()):
+                raise table.error(key, f"{name}: {self.no_number(column, lost[0])}")
+            if len(lost):
+                many = "values are no numbers" if len(lost) > 1 else "value is no number"
+                self.notes.append(
+                    f"{self.path.name}: {name}: {len(lost)} {many}, the first in {self.cell(column, lost[0])}"
+                )
+        return numbers
+
+    def cell(self, column: Any, i: int) -> str:
+        """Where a value stands, and what it is."""
+        return f"row {self.first_row + i}: '{str(column.iloc[i])[:40]}'"
+
+    def no_number(self, column: Any, i: int) -> str:
+        """A line for a value that should be a number."""
+        return f"no number in {self.cell(column, i)}"
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\W_]+", "", _BRACKETS.sub("", name)).lower()
+
+
+# ----------------------------------------------------------------------------------------------- one file
+
+
+def read_file(path: Path, keys: Mapping[str, Any], where: str) -> _File:
+    """Read a table of text, whatever stands before its header and however it separates its columns.
+
+    Args:
+        path: the file.
+        keys: what the map says: separator, decimal, encoding, comment, skip_rows.
+        where: of the map, for messages.
+
+    Raises:
+        InputError: it cannot be read, or there is no table in it.
+    """
+    import pandas
+
+    notes: list[str] = []
+    text = _text(path, keys.get("encoding"), notes)
+    comment = keys.get("comment")
+    skip = int(keys.get("skip_rows", 0))
+    head, start, separator, second = _header(path, text, skip, keys.get("separator"), comment)
+    body = text[start:]
+    decimal = keys.get("decimal") or _decimal(body, separator)
+    names, units = _named(head, second)
+    sep = r"\s+" if separator == " " else separator
+    bad: list[int] = []
+
+    def left_out(cells: list[str]) -> None:
+        bad.append(len(cells))
+
+    options: dict[str, Any] = {"sep": sep, "decimal": decimal, "header": None, "names": names, "index_col": False,
+                               "skipinitialspace": True, "skip_blank_lines": True}  # fmt: skip
+    lines = [line for line in body.splitlines(keepends=True) if not line.startswith(comment)] if comment else None
+    stream = io.StringIO(body if lines is None else "".join(lines))
+    try:
+        try:
+            frame = pandas.read_csv(stream, low_memory=False, on_bad_lines="error", **options)
+        except (pandas.errors.ParserError, ValueError):
+            stream.seek(0)
+            frame = pandas.read_csv(stream, engine="python", on_bad_lines=left_out, **options)
+    except (OSError, ValueError, OverflowError, pandas.errors.ParserError, re.error) as error:
+        raise InputError(f"{path}: no CSV: {one_line(error)} ({where}: [csv])") from None
+    if bad:
+        notes.append(f"{path.name}: {len(bad)} rows with too many cells left out")
+    if not len(frame):
+        raise InputError(f"{path}: no CSV: no rows under its header")
+    return _File(path, frame, units, 1 + text[:start].count("\n"), notes)
+
+
+def header_of(path: Path) -> _File | None:
+    """The names of the columns of a table of text, without its rows; None: it is none."""
+    import pandas
+
+    try:
+        with path.open("rb") as stream:
+            beginning = stream.read(1 << 16)
+        text = _decoded(path, beginning[: beginning.rfind(b"\n") + 1 or None], None, [])
+        head, _, _, second = _header(path, text, 0, None, None)
+    except (OSError, InputError):
+        return None
+    names, units = _named(head, second)
+    return _File(path, pandas.DataFrame(columns=names), units, 1)
+
+
+def _text(path: Path, encoding: str | None, notes: list[str]) -> str:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {(error.strerror or str(error)).lower()}") from None
+    return _decoded(path, data, encoding, notes)
+
+
+def _decoded(path: Path, data: bytes, encoding: str | None, notes: list[str]) -> str:
+    tried = (
+        [encoding] if encoding else ["utf-16"] if data[:2] in (b"\xff\xfe", b"\xfe\xff") else ["utf-8-sig", "cp1252"]
+    )
+    for name in tried:
+        try:
+            text = data.decode(name)
+        except LookupError:
+            raise InputError(f"{path}: no CSV: encoding '{name}' is not known") from None
+        except UnicodeDecodeError:
+            continue
+        if "\0" in text[:10000]:
+            break
+        if name == "cp1252" and not encoding:
+            notes.append(f"{path.name}: not UTF-8, read as cp1252 ([csv] encoding)")
+        return text
+    raise InputError(f"{path}: no CSV: it is no text in {' or '.join(tried)} ([csv] encoding)")
+
+
+def _header(
+    path: Path, text: str, skip: int, separator: str | None, comment: str | None
+) -> tuple[list[str], int, str, list[str] | None]:
+    """Cells of the header, where the data start, the separator, and a second line of the header if there is one."""
+    lines = list(itertools.islice(_lines(text), 400))[skip:]
+    if comment:
+        lines = [(at, line) for at, line in lines if not line.startswith(comment)]
+    lines = [(at, line) for at, line in lines if line.strip()]
+    if len(lines) < 2:
+        raise InputError(f"{path}: no CSV: no rows under a header")
+    last = [line for _, line in lines[-20:]]
+    found = separator or _separator(last)
+    width = int(np.median([len(_cells(line, found)) for line in last]))
+    for i, (_, line) in enumerate(lines[:-1]):
+        cells = _cells(line.lstrip("#%").strip() if not comment else line, found)
+        while len(cells) > width and not cells[-1]:
+            cells.pop()
+        if len(cells) == width and not all(_is_number(c) or not c for c in cells):
+            following = _cells(lines[i + 1][1], found)
+            commented = lines[i + 1][1].startswith(("//", "#"))
+            if commented or (len(following) != width and i + 2 < len(lines) and not line.startswith("#")):
+                continue
+            second = None
+            data = i + 1
+            texts = [c for c in following if c]
+            plain = not any(_is_number(c) or _ISO.match(c) for c in texts)
+            if texts and plain and i + 2 < len(lines) and _some_number(_cells(lines[i + 2][1], found)):
+                second, data = following, i + 2
+            return cells, lines[data][0], found, second
+    raise InputError(f"{path}: no CSV: no header with the names of the columns above its rows of {width}")
+
+
+def _lines(text: str) -> Iterator[tuple[int, str]]:
+    at = 0
+    while at < len(text):
+        end = text.find("\n", at)
+        end = len(text) if end < 0 else end
+        yield at, text[at:end].rstrip("\r")
+        at = end + 1
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    parts = line.split() if separator == " " else line.split(separator)
+    return [p.strip().strip('"').strip() for p in parts]
+
+
+def _separator(lines: Sequence[str]) -> str:
+    """What the lines are divided by equally often; decimal commas stand between digits and are no separators."""
+    best, most = " ", 0
+    for separator in _SEPARATORS:
+        counts = {line.count(separator) for line in lines}
+        if len(counts) == 1 and (n := counts.pop()) > 0:
+            mixed = separator == "," and any(s in lines[0] for s in (";", "\t", "|"))
+            if not mixed and n > most:
+                best, most = separator, n
+    if most == 0:
+        totals = {s: sum(line.count(s) for line in lines) for s in _SEPARATORS}
+        best = max(totals, key=lambda s: totals[s]) if max(totals.values()) else " "
+    return best
+
+
+def _decimal(body: str, separator: str) -> str:
+    sample = body[:20000]
+    comma = separator != "," and re.search(r"(^|[;\t| ])-?\d+,\d+", sample, re.M)
+    return "," if comma and not re.search(r"\d\.\d", sample) else "."
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _some_number(cells: Sequence[str]) -> bool:
+    return any(_is_number(c) or _ISO.match(c) for c in cells)
+
+
+def _named(head: Sequence[str], second: Sequence[str] | None) -> tuple[list[str], list[str]]:
+    """Names of the columns, made different, and the units in them or in the line below."""
+    names: list[str] = []
+    units = []
+    for i, cell in enumerate(head):
+        name = cell or f"column {i + 1}"
+        names.append(name if name not in names else f"{name}.{names.count(name)}.{i}")
+        below = second[i].strip("[]() ") if second and i < len(second) else ""
+        match = _BRACKETS.search(cell)
+        units.append(_unit(below) or (_unit(match[1]) if match else ""))
+    return names, units
+
+
+def _unit(text: str) -> str:
+    spelt = re.sub(r"[\s.*·]", "", text).lower()
+    return _SPELT.get(spelt, "")
+
+
+# ----------------------------------------------------------------------------------------------- the map
 
 
 class Csv(Held):
-    """Columns by name; `[csv.KIND]` of the map says which and in what units."""
+    """Columns by name; `[csv.KIND]` of the map says which, in what units and in what file."""
+
+    form = "table of text"
 
     def __init__(self, path: Path, table: Table) -> None:
-        if not path.is_file():
+        if not path.exists():
             raise InputError(f"{path}: cannot be read: no such file")
         if not table.data:
-            raise InputError(f"{path}: a CSV needs a --map with [csv] saying what its columns are; see docs/replay.md")
-        import pandas
-
-        clock = table.table("time")
-        separator = table.text("separator", ",")
-        try:
-            frame = pandas.read_csv(path, sep=separator, skipinitialspace=True)
-        except (OSError, ValueError, pandas.errors.ParserError, UnicodeDecodeError) as error:
-            raise InputError(f"{path}: no CSV: {one_line(error)}") from None
-        self._frame = frame
-        ns = np.rint(self._column(clock, "column") * (UNITS[clock.choice("unit", ["s", "ms", "us", "ns"], "s")] * 1e9))
-        clock.close()
-        arrays = {}
-        for kind, (type_name, fields) in _CSV_KINDS.items():
+            raise InputError(
+                f"{path}: a CSV needs a --map with [csv] saying what its columns are, or --map preset:NAME "
+                "(ahrs-sim list maps); see docs/replay.md"
+            )
+        self._root = path
+        self._files: dict[tuple[Path, str], _File] = {}
+        self._said: list[str] = []
+        shared = {k: table.value(k) for k in CSV_KEYS if table.has(k)}
+        topics: dict[str, Columns] = {}
+        for kind in _KINDS:
             if table.has(kind):
-                arrays[kind] = self._messages(table.table(kind), kind, type_name, fields, ns)
+                topics |= self._of_kind(table.table(kind), kind, shared, table)
         table.close()
-        super().__init__(path, arrays)
+        super().__init__(path, topics)
+        self.notes += list(dict.fromkeys([n for f in self._files.values() for n in f.notes] + self._said))
+
+    def _of_kind(self, table: Table, kind: str, shared: Mapping[str, Any], whole: Table) -> dict[str, Columns]:
+        own = {k: table.value(k) for k in CSV_KEYS if table.has(k)}
+        optional = bool(table.value("optional", False))
+        keys = {**shared, **own}
+        _, fields = _KINDS[kind]
+        given = {key: table.table(key) for key in fields if table.has(key)}
+        separate = {key: t for key, t in given.items() if t.has("file")}
+        table.close()
+        if not given:
+            raise table.error(next(iter(fields)), "missing; name its columns")
+        made: dict[str, Columns] = {}
+        for group in [*([k] for k in separate), [k for k in given if k not in separate]]:
+            if not group:
+                continue
+            entry = given[group[0]]
+            local = {**keys, **{k: entry.value(k) for k in CSV_KEYS if entry.has(k)}} if group[0] in separate else keys
+            file = self._file(local, table, optional)
+            if file is None:
+                continue
+            chosen = {k: given[k] for k in group}
+            if optional and any(file.place(n) < 0 for t in chosen.values() for n in _names(t, 0)):
+                continue
+            part = self._messages(kind, chosen, file, local, table, whole, split=len(given) > 1)
+            for name, columns in part.items():
+                made[name] = columns
+        return made
+
+    def _file(self, keys: Mapping[str, Any], table: Table, optional: bool) -> _File | None:
+        """The file that a kind stands in, read once."""
+        path = self._root
+        pattern = keys.get("file")
+        if pattern is not None:
+            folder = path if path.is_dir() else path.parent
+            found = [p for one in str(pattern).split("|") for p in sorted(folder.glob(one)) if p.is_file()]
+            if not found and optional:
+                return None
+            if not found:
+                raise table.error("file", f"no file '{pattern}' in {folder}")
+            path = found[0]
+        elif path.is_dir():
+            there = ", ".join(sorted(p.name for p in path.glob("*.*"))[:8])
+            raise table.error("file", f"missing; {path} is a folder, name the file ({there})")
+        key = path, repr(sorted((k, v) for k, v in keys.items() if k not in ("file", "time")))
+        if key not in self._files:
+            self._files[key] = read_file(path, keys, table.where)
+        return self._files[key]
 
     def _messages(
-        self, table: Table, kind: str, type_name: str, fields: Mapping[str, tuple[str, int]], ns: np.ndarray
-    ) -> Columns:
-        frame_id = NED if kind in ("velocity", "heading") else FRD
+        self, kind: str, given: Mapping[str, Table], file: _File, keys: Mapping[str, Any], table: Table, whole: Table,
+        split: bool,
+    ) -> dict[str, Columns]:  # fmt: skip
+        """The topics of one kind in one file."""
+        _, fields = _KINDS[kind]
         columns: dict[str, np.ndarray] = {}
-        for key, (place, size) in fields.items():
-            if not table.has(key):
-                continue
-            entry = table.table(key)
-            names = entry.value("columns")
-            if not isinstance(names, list) or len(names) != size:
-                raise entry.error("columns", f"{names!r} is not a list of {size} column names")
-            scale = 1.0 if key in _DEGREES else UNITS[entry.choice("unit", list(UNITS), *_default_unit(key))]
+        for key, entry in given.items():
+            place, size, dimension = fields[key]
+            columns[place] = self._values(key, entry, file, size, dimension)
+        owner = table if table.has("time") else whole
+        ns, told = self._times(keys, owner, file)
+        good = told & np.all([np.isfinite(v).all(axis=1) for v in columns.values()], axis=0)
+        apart = kind == "imu" and len(columns) == 2 and 2 * good.sum() < max(
+            int((told & np.isfinite(v).all(axis=1)).sum()) for v in columns.values()
+        )  # fmt: skip
+        if apart or (kind == "imu" and len(columns) == 1 and split):
+            return {
+                f"imu/{'gyro' if place == 'angular_velocity' else 'accel'}": self._selected(
+                    "imu", {place: v, f"{_OTHER[place]}_covariance": np.tile(_ABSENT, (len(v), 1))},
+                    ns, told & np.isfinite(v).all(axis=1), file)
+                for place, v in columns.items()
+            }  # fmt: skip
+        return {kind: self._selected(kind, columns, ns, good, file)}
+
+    def _values(self, key: str, entry: Table, file: _File, size: int, dimension: str) -> np.ndarray:
+        """Values (n, size) in SI of an entry like `{columns = [...], unit = "deg/s"}`."""
+        names = _names(entry, size)
+        if key == "status":
+            minimum = entry.number("minimum", 3.0)
             entry.close()
-            value = scale * np.column_stack([self._named(entry, name) for name in names])
-            if key == "euler":
-                from ahrs_sim.attitude import from_euler
+            fixed: np.ndarray = np.where(file.numbers(names[0], entry) >= minimum, 0.0, -1.0)[:, None]
+            return fixed
+        places = [file.place(n) for n in names]
+        stated = {file.units[p] for p in places if p >= 0} & set(_DIMENSIONS.get(dimension, ()))
+        header = stated.pop() if len(stated) == 1 else ""
+        unit, scale = self._scale(entry, dimension, header)
+        if header and unit and UNITS[header] != UNITS[unit]:
+            self._said.append(f"{file.path.name}: {names[0]}: unit is {unit} by the map, {header} by its header")
+        signs = np.where([bool(s) for s in entry.value("negative", [False] * size)], -1.0, 1.0)
+        values: np.ndarray = np.column_stack([file.numbers(n, entry) for n in names])
+        for key_of_file in CSV_KEYS:
+            entry.has(key_of_file)
+        entry.close()
+        if key == "polar":  # speed, course in deg, down
+            speed, course, down = scale * values[:, 0], np.radians(values[:, 1]), scale * values[:, 2]
+            return np.column_stack([speed * np.cos(course), speed * np.sin(course), down])
+        values = scale * signs * values
+        return attitude.from_euler(values) if key == "euler" else values
 
-                value = from_euler(value)
-            columns[place] = value
+    @staticmethod
+    def _scale(entry: Table, dimension: str, header: str) -> tuple[str, float]:
+        """Unit and SI value (deg for latitudes) of a 1, by the map, else by the header."""
+        given = entry.value("unit", None)
+        if isinstance(given, (int, float)) and not isinstance(given, bool):
+            return "", float(given)
+        if dimension in ("", "deg"):
+            unit = entry.choice("unit", list(UNITS), header)
+            return unit, float(np.degrees(1.0)) if unit == "rad" else 1.0
+        fallback = header or {"m": "m"}.get(dimension)
+        unit = entry.choice("unit", list(UNITS), fallback) if fallback else entry.choice("unit", list(UNITS))
+        return unit, UNITS[unit]
+
+    def _times(self, keys: Mapping[str, Any], owner: Table, file: _File) -> tuple[np.ndarray, np.ndarray]:
+        """Times (n,) ns and whether each row has one."""
+        if not isinstance(keys.get("time"), dict):
+            raise owner.error("time", 'missing; name its column: time = {column = "t", unit = "s"}')
+        table = Table(keys["time"], f"{owner.where}: time")
+        clock = _clock(table, file)
         table.close()
-        if not columns:
-            raise table.error(next(iter(fields)), "missing; name its columns")
-        values = np.column_stack(list(columns.values()))
-        good = np.isfinite(values).all(axis=1) & np.isfinite(ns)
-        if kind in _CHANGES_ONLY:  # a table repeats what a slow sensor has said
-            good &= np.r_[True, (np.diff(values, axis=0) != 0).any(axis=1)]
-        chosen = {k: (v[good] if v.shape[1] > 1 else v[good, 0]) for k, v in columns.items()}
-        return Columns(type_name, ns[good].astype(np.int64), chosen, frame_id)
+        finite = np.isfinite(clock)
+        if not finite.any():
+            raise InputError(f"{file.path}: time: no times in it")
+        seconds_ns = np.zeros(len(clock), np.int64)
+        seconds_ns[finite] = np.rint(np.clip(clock[finite], -9e18, 9e18)).astype(np.int64)
+        return seconds_ns, finite
 
-    def _column(self, table: Table, key: str) -> np.ndarray:
-        return self._named(table, table.text(key))
+    def _selected(
+        self, kind: str, columns: Mapping[str, np.ndarray], ns: np.ndarray, good: np.ndarray, file: _File
+    ) -> Columns:
+        """The rows that say something new, in the order of time."""
+        rows = np.flatnonzero(good)
+        if len(rows) == 0:
+            raise InputError(f"{file.path}: {kind}: no row has all of its columns")
+        rows = self._forward(ns, rows, file)
+        values = np.column_stack([v[rows] for k, v in columns.items() if not k.endswith("covariance")])
+        fresh = np.r_[True, (np.diff(values, axis=0) != 0).any(axis=1)]
+        runs = np.diff(np.r_[np.flatnonzero(fresh), len(rows)])
+        if kind in _CHANGES_ONLY or np.median(runs) >= 2:  # a table repeats what a slow sensor has said
+            rows = rows[fresh]
+        times = len(np.unique(ns[rows]))
+        if kind == "imu" and times < _FEWEST_TIMES * len(rows):
+            raise InputError(
+                f"{file.path}: time: {len(rows)} rows, {times} different times: the column has too few digits"
+            )
+        frame_id = NED if kind in ("velocity", "heading") else FRD
+        chosen = {k: (v[rows] if v.shape[1] > 1 else v[rows, 0]) for k, v in columns.items()}
+        return Columns(_KINDS[kind][0], ns[rows], chosen, frame_id)
 
-    def _named(self, table: Table, name: Any) -> np.ndarray:
-        import pandas
+    def _forward(self, ns: np.ndarray, rows: np.ndarray, file: _File) -> np.ndarray:
+        """Rows in the order of time: turned round where they descend, the longest part where the clock steps back."""
+        steps = np.diff(ns[rows])
+        if len(steps) > 2 and (steps <= 0).all() and (steps < 0).any():
+            self._said.append(f"{file.path.name}: the rows go back in time: taken from the last to the first")
+            return rows[::-1]
+        part, back = longest_part(ns[rows])
+        if not back:
+            return rows
+        at = int(np.flatnonzero(steps < -(10**9))[0])
+        where = f"time goes back by {-steps[at] / 1e9:.6g} s in row {file.first_row + int(rows[at + 1])}"
+        if back > 10:
+            raise InputError(f"{file.path}: {where}, and {back - 1} times more; sort the rows")
+        first, last = file.first_row + int(rows[part.start]), file.first_row + int(rows[part.stop - 1])
+        self._said.append(
+            f"{file.path.name}: {where}: of the {back + 1} parts the longest is used, rows {first} to {last}"
+        )
+        return rows[part]
 
-        if name not in self._frame:
-            known = [str(c) for c in self._frame.columns]
-            raise table.error("columns", f"no column '{name}' in the file{nearest(str(name), known)}")
-        numbers: np.ndarray = pandas.to_numeric(self._frame[name], errors="coerce").to_numpy(float)
-        return numbers
+
+_ABSENT = np.r_[-1.0, np.zeros(8)]
+_OTHER = {"angular_velocity": "linear_acceleration", "linear_acceleration": "angular_velocity"}
 
 
-def _default_unit(key: str) -> tuple[str, ...]:
-    return ("m",) if key in ("altitude", "quaternion", *_DEGREES) else ()
+def _names(entry: Table, size: int) -> list[str]:
+    names = entry.value("columns")
+    if not isinstance(names, list) or not all(isinstance(n, str) for n in names) or (size and len(names) != size):
+        raise entry.error("columns", f"{names!r} is not a list of {size} column names")
+    return names
+
+
+def _clock(table: Table, file: _File) -> np.ndarray:
+    """Time (n,) in ns as the table's `time` describes it; NaN where a row has none."""
+    if table.has("week"):
+        week, seconds = (file.numbers(table.text(k), table, k) for k in ("week", "seconds"))
+        scale = UNITS[table.choice("unit", ["s", "ms", "us", "ns"], "s")]
+        good = np.isfinite(week) & np.isfinite(seconds) & (np.abs(week) < 1e6)
+        out = np.full(len(week), np.nan)
+        ns = from_gps(week[good], scale * seconds[good])
+        out[good] = ns
+        return out
+    if table.has("year"):
+        return _calendar(table, file)
+    name = table.text("column")
+    if table.has("format") or (file.place(name) >= 0 and _is_date(file, name)):
+        return _dated(file, name, table)
+    unit = table.value("unit", None) or (file.units[file.place(name)] if file.place(name) >= 0 else "") or "s"
+    if not isinstance(unit, (int, float)) and unit not in ("s", "ms", "us", "ns", "iso"):
+        raise table.error("unit", f"{unit!r} is none of s, ms, us, ns, a number of seconds")
+    values = file.numbers(name, table, "column")
+    if table.has("wraps_at"):  # a counter that starts anew
+        wrap = table.number("wraps_at", above=0.0)
+        steps = np.diff(values, prepend=values[:1])
+        values = values + wrap * np.cumsum(np.where(steps < -0.5 * wrap, 1.0, 0.0))
+    ns_per = (float(unit) if isinstance(unit, (int, float)) else UNITS[unit]) * 1e9
+    ticks: np.ndarray = values * ns_per
+    return ticks
+
+
+def _is_date(file: _File, name: str) -> bool:
+    column = file.frame.iloc[:, file.place(name)].dropna()
+    return bool(len(column) and _ISO.match(str(column.iloc[0])))
+
+
+def _dated(file: _File, name: str, table: Table) -> np.ndarray:
+    import pandas
+
+    i = file.place(name)
+    if i < 0:
+        raise table.error("column", f"no column '{name}' in {file.path.name}{nearest(name, list(file.frame.columns))}")
+    form = table.text("format", "ISO8601")
+    table.has("unit")
+    column = file.frame.iloc[:, i]
+    try:
+        dates = pandas.to_datetime(column, format=form, utc=True, errors="coerce")
+    except ValueError as error:
+        raise table.error("format", one_line(error)) from None
+    known = dates.notna().to_numpy()
+    lost = np.flatnonzero(~known & column.notna().to_numpy())
+    if not known.any():
+        raise table.error("column", f"{name}: no time in {file.cell(column, 0)}")
+    if len(lost):
+        file.notes.append(
+            f"{file.path.name}: {name}: {len(lost)} rows without a time, the first {file.cell(column, lost[0])}"
+        )
+    out = np.full(len(column), np.nan)
+    out[known] = dates[known].astype("datetime64[ns, UTC]").astype("int64").to_numpy()
+    return out
+
+
+def _calendar(table: Table, file: _File) -> np.ndarray:
+    """From columns year, month, day, hour, minute, second and perhaps nanosecond."""
+    parts = {k: file.numbers(table.text(k), table, k) for k in ("year", "month", "day", "hour", "minute", "second")}
+    more = file.numbers(table.text("nanosecond"), table, "nanosecond") if table.has("nanosecond") else 0.0
+    good = np.all([np.isfinite(v) for v in parts.values()], axis=0) & (parts["year"] > 1900) & (parts["year"] < 2200)
+    out = np.full(len(good), np.nan)
+    months = ((parts["year"][good] - 1970) * 12 + parts["month"][good] - 1).astype("timedelta64[M]")
+    days = (np.datetime64("1970-01") + months).astype("datetime64[D]").astype(np.int64) + parts["day"][good] - 1
+    hours = days * 24 + parts["hour"][good]
+    seconds = (hours * 60 + parts["minute"][good]) * 60 + parts["second"][good]
+    out[good] = seconds * 1e9 + (more[good] if isinstance(more, np.ndarray) else 0.0)
+    return out
