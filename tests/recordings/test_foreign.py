@@ -172,7 +172,7 @@ def test_standard_types_in_other_encodings(tmp_path: Path, moving: Motion, form:
     write(tmp_path / form, moving)
     s, notes = samples_of(tmp_path / form)
     check(s, moving)
-    assert not any(note.startswith("check") for note in notes)
+    assert not any(note.startswith("check") and "measures heading" not in note for note in notes)
     if form == "json.mcap":
         assert any("not read: /log ('json' with 'jsonschema' schema, type foxglove.Log)" in note for note in notes)
 
