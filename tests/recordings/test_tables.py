@@ -280,8 +280,7 @@ def phyphox(folder: Path, m: Motion) -> Path:
 
 
 def mt_manager(folder: Path, m: Motion) -> Path:
-    from ahrs_sim.attitude import euler
-    from ahrs_sim.attitude import product
+    from ahrs_sim.attitude import euler, product
 
     # FLU against ENU from FRD against NED, and its angles
     half = np.array([[0.0, 0.5**0.5, 0.5**0.5, 0.0]])
