@@ -24,7 +24,6 @@ from ahrs_sim.flight import BLOCK_S, Flight, open_flight
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
 from ahrs_sim.log.flight_log import FlightLog
 from ahrs_sim.log.mcap.writer import Listener
-from ahrs_sim.log.topics import TRUTH_RATE
 from ahrs_sim.scenario import Scenario, create_estimator
 from ahrs_sim.sensors import make_suite
 from ahrs_sim.sensors.faults import check_suites
@@ -44,6 +43,7 @@ def fly(
     block_s: float = BLOCK_S,
     flight: Flight | None = None,
     live: Listener | None = None,
+    ros_axes: bool = False,
     progress: Callable[[float, float | None], None] = lambda t, end: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
@@ -57,6 +57,7 @@ def fly(
         block_s: length of the blocks, s; the log does not depend on it.
         flight: the scenario's flight, if it has begun already (see `flight.ahead`).
         live: is given every message of the log, too (see `ahrs_sim.log.live`).
+        ros_axes: IMU topics a second time in the axes of ROS (see `ahrs_sim.log.ros_axes`).
         progress: called with the time reached and the expected end (None: unknown), s.
         stopped: asked after every block; true ends the flight and completes the log.
 
@@ -79,6 +80,8 @@ def fly(
                 output,
                 epoch_ns=scenario.epoch_ns,
                 truth_rate=scenario.rate,
+                logged_rate=scenario.truth_rate,
+                ros_axes=ros_axes,
                 suites={c.suite.name: c.suite.instruments for c in chains},
                 estimators=[name for c in chains for name in c.estimators],
                 attachments={"scenario.toml": scenario.toml().encode(), **flight.attachments()},
@@ -87,7 +90,7 @@ def fly(
                 listener=live,
             )
             stack.enter_context(log)
-        record = _Recorder(log, accuracy, scenario.rate)
+        record = _Recorder(log, accuracy, scenario.rate / scenario.truth_rate)
         record.events([Event(0.0, "warning", "scenario", note) for note in scenario.notes])
         while len(truth := flight.fly(rows)):
             t = float(truth.t[-1])
@@ -135,9 +138,9 @@ def _run(chain: Chain, record: "_Recorder", flight: Flight, pilot: str) -> None:
 class _Recorder:
     """Buffers blocks and hands them on once every `BLOCK_S`, because the overhead of a call dominates."""
 
-    def __init__(self, log: FlightLog | None, accuracy: "Accuracy | None", truth_rate: float) -> None:
+    def __init__(self, log: FlightLog | None, accuracy: "Accuracy | None", every: float) -> None:
         self.log, self.accuracy = log, accuracy
-        self.compared = RowDecimator(truth_rate / TRUTH_RATE)  # what the log keeps, so that both give the same figures
+        self.compared = RowDecimator(every)  # what the log keeps, so that both give the same figures
         self.truths: list[Truth] = []
         self.setpoint_list: list[Setpoints] = []
         self.records: dict[tuple[str, str], list[Record]] = {}

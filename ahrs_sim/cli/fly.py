@@ -40,6 +40,9 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument("--pilot", metavar="NAME", help="fly on the attitude of this estimator, or on the truth")
     command.add_argument("--force", action="store_true", help="replace an existing log")
     command.add_argument("--block", type=positive, metavar="S", help="seconds a block (the log does not depend on it)")
+    command.add_argument(
+        "--ros-axes", action="store_true", help="IMU topics a second time behind /ros, in ENU and FLU (REP-103)"
+    )
     command.add_argument("--json", action="store_true", help="print the accuracy as JSON")
     command.add_argument("--quiet", action="store_true", help="print nothing but errors")
     add_live(command)
@@ -80,6 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
             block_s=block_s,
             flight=flight.ready() if flight else None,
             live=live,
+            ros_axes=arguments.ros_axes,
             progress=Progress(f"flying {scenario.name}", hidden=arguments.quiet or arguments.json),
             stopped=lambda: bool(stop),
         )

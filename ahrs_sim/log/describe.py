@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ahrs_sim.log import messages, topics
+from ahrs_sim.log.ros_axes import TWINS
 from ahrs_sim.log.topics import Route
 
 BEGIN, END = "<!-- from here on: python -m ahrs_sim.log.describe -->", "<!-- to here -->"
@@ -27,6 +28,13 @@ def reference() -> str:
     parts += ["", "### Each sensor suite", "", *_topics(suite)]
     parts += ["", "### Each estimator", "", *_topics(estimator)]
     parts += ["", "### Pilot and events", "", *_topics((topics.SETPOINTS, topics.EVENTS)), ""]
+    parts += [
+        "### In the axes of ROS",
+        "",
+        "With `fly --ros-axes`, for consumers that do not look at frames (imu_tools,",
+    ]
+    parts += ["robot_localization): behind `/ros` the topics " + ", ".join(f"`.../{r.topic[1:]}`" for r in TWINS)]
+    parts += ["again, vectors forward, left, up, attitude from `base_link` to `map` (REP-103, REP-145).", ""]
     parts += ["### Replay of a bag", "", *_topics((topics.REFERENCE,)), ""]
     parts += ["## Types of our own", ""]
     for name in messages.type_names():

@@ -22,6 +22,7 @@ from ahrs_sim.evaluation.decimate import Decimator, RowDecimator, take
 from ahrs_sim.evaluation.evaluator import Comparison, Evaluator
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
 from ahrs_sim.log.mcap.writer import Listener, LogChannel, LogWriter
+from ahrs_sim.log.ros_axes import RosTwins
 from ahrs_sim.log.topics import (
     ATTITUDE,
     ERRORS,
@@ -62,14 +63,19 @@ class EstimateTopics:
         writer: of the log.
         epoch_ns: zero of the estimates' time, ns since 1970.
         names: of the estimators.
+        twins: in the axes of ROS; None: not wanted.
     """
 
-    def __init__(self, writer: LogWriter, epoch_ns: int, names: Iterable[str]) -> None:
+    def __init__(self, writer: LogWriter, epoch_ns: int, names: Iterable[str], twins: RosTwins | None = None) -> None:
         self.writer, self.epoch_ns = writer, epoch_ns
         self._channels = {
             name: [route.channel(writer, f"/est/{name}") for route in (STATE, ESTIMATED_IMU, ATTITUDE, ERRORS)]
             for name in names
         }
+        self._twins = twins
+        for name in self._channels:
+            if twins:
+                twins.add(ESTIMATED_IMU, f"/est/{name}")
         self._plotted = {name: Decimator(PLOT_RATE) for name in self._channels}
         self._evaluator = Evaluator(self._write_errors, hold_s=HOLD_S)
 
@@ -89,7 +95,10 @@ class EstimateTopics:
         if known.any():
             block, times = take(block, known), times[known]
             covariance = np.nan_to_num(block.att_cov)
-            self.writer.write(imu, times, times, orientation=block.q_nb, orientation_covariance=covariance)
+            columns = {"orientation": block.q_nb, "orientation_covariance": covariance}
+            self.writer.write(imu, times, times, **columns)
+            if self._twins:
+                self._twins.write(ESTIMATED_IMU, f"/est/{name}", times, times, columns)
 
     def _plot(self, name: str, block: Estimates) -> None:
         """Write attitudes at `PLOT_RATE`, and errors as soon as the reference is there."""
@@ -125,7 +134,8 @@ class FlightLog:
     Args:
         path: name of the finished log.
         epoch_ns: zero of the flight's time, ns since 1970.
-        truth_rate: Hz, rows of the truth per second; logged at `TRUTH_RATE` or less.
+        truth_rate: Hz, rows of the truth per second.
+        logged_rate: Hz, of the truth in the log, or less.
         suites: instruments (keys of `INSTRUMENTS`) by name of the suite.
         estimators: their names.
         attachments: contents by file name: scenario, aircraft.
@@ -133,6 +143,7 @@ class FlightLog:
         force: overwrite an existing log.
         chunk_s: what a crash can cost, s.
         listener: is given all messages, too.
+        ros_axes: IMU and magnetometer topics a second time, in the axes of ROS (see `ahrs_sim.log.ros_axes`).
 
     Raises:
         InputError: the log exists, or cannot be created.
@@ -144,6 +155,8 @@ class FlightLog:
         *,
         epoch_ns: int,
         truth_rate: float = 400.0,
+        logged_rate: float = TRUTH_RATE,
+        ros_axes: bool = False,
         suites: Mapping[str, Sequence[str]] | None = None,
         estimators: Iterable[str] = (),
         attachments: Mapping[str, bytes] | None = None,
@@ -155,7 +168,7 @@ class FlightLog:
         self.epoch_ns = epoch_ns
         self.writer = writer = LogWriter(path, epoch_ns=epoch_ns, force=force, chunk_s=chunk_s, listener=listener)
         self._origin: np.ndarray | None = None
-        self._logged = RowDecimator(truth_rate / TRUTH_RATE)
+        self._logged = RowDecimator(truth_rate / logged_rate)
         self._moved = RowDecimator(truth_rate / TF_RATE)
         self._fixed = RowDecimator(truth_rate / FIX_RATE)
         self._plotted = RowDecimator(truth_rate / PLOT_RATE)
@@ -165,6 +178,10 @@ class FlightLog:
         self._tf_static = self._frames(TF_STATIC)
         self._tf = self._frames(TF)
         self._truth = [(route, route.channel(writer)) for route in TRUTH]
+        self._twins = twins = RosTwins(writer) if ros_axes else None
+        for route in TRUTH:
+            if twins:
+                twins.add(route)
         self._fix = TRUTH_FIX.channel(writer)
         self._attitude = TRUTH_ATTITUDE.channel(writer)
         self._events = EVENTS.channel(writer)
@@ -176,12 +193,14 @@ class FlightLog:
             for instrument in instruments:
                 key = suite, instrument
                 self._instruments[key] = INSTRUMENTS[instrument][1].channel(writer, f"/{suite}")
+                if twins:
+                    twins.add(INSTRUMENTS[instrument][1], f"/{suite}")
                 if instrument in STATUS:
                     self._status[key] = STATUS[instrument].channel(writer, f"/{suite}")
                 if instrument == "imu":
                     self._temperature[suite] = TEMPERATURE.channel(writer, f"/{suite}")
                     self._warmed[suite] = RowDecimator(TEMPERATURE_EVERY)
-        self._estimates = EstimateTopics(writer, epoch_ns, estimators)
+        self._estimates = EstimateTopics(writer, epoch_ns, estimators, twins)
         for name, values in (metadata or {}).items():
             writer.metadata(name, values)
         for name, data in (attachments or {}).items():
@@ -212,6 +231,8 @@ class FlightLog:
                 columns["twist.twist.linear"] = attitude.to_body(logged.q_nb, logged.vel_n)
                 columns["twist.twist.angular"] = logged.rate_ib_b
             self.writer.write(channel, times[rows], times[rows], **columns)
+            if self._twins:
+                self._twins.write(route, "", times[rows], times[rows], columns)
         self._estimates.reference((times[rows] - self.epoch_ns) / 1e9, logged.q_nb)  # as a replay will read it
         rows = self._plotted.rows(len(block))
         roll, pitch, heading = attitude.euler(block.q_nb[rows]).T
@@ -246,6 +267,8 @@ class FlightLog:
             covariance[:, [4, 0, 8]] = block.sigma**2  # north, east, down of a matrix in east, north, up
             columns["position_covariance"] = covariance
         self.writer.write(self._instruments[suite, instrument], arrival, stamp, **columns)
+        if self._twins:
+            self._twins.write(route, f"/{suite}", arrival, stamp, columns)
         if (suite, instrument) in self._status:
             rows = np.arange(len(block))
             if isinstance(block, ImuRecord | MagRecord):

@@ -85,6 +85,7 @@ class Scenario:
     seed: int
     epoch: datetime.datetime
     rate: float  # Hz, of the truth
+    truth_rate: float  # Hz, of the truth in the log
     duration: float | None  # s; None: to the end of the steps
     start: Start
     wind: Wind
@@ -212,7 +213,8 @@ def parse(
         motion=motion,
         seed=table.integer("seed", 0, minimum=0),
         epoch=table.date("epoch", datetime.datetime(2026, 6, 1, 10, tzinfo=datetime.UTC)),
-        rate=table.number("rate_hz", 400.0, minimum=50.0, maximum=2000.0),
+        rate=(rate := table.number("rate_hz", 400.0, minimum=50.0, maximum=2000.0)),
+        truth_rate=table.number("truth_rate_hz", min(100.0, rate), minimum=10.0, maximum=rate),
         duration=table.number("duration_s", None, above=0.0),
         start=_start(table.table("start")),
         wind=_wind(table.table("wind")),

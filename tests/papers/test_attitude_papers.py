@@ -101,9 +101,9 @@ def test_quick_reproduction(name):
         thousand = [c for what, c in found.items() if "(iii)" in what]
         assert [c.verdict for c in thousand] == [Verdict.REPRODUCED]
     if name == "cubature":
-        shaken = [str(c.ours) for c in result.claims if c.what.startswith("Ground start")]
+        shaken = [str(c.ours) for c in result.claims if c.what.startswith("R from the ground")]
         tilt = [float(text.split("/")[0]) for text in shaken]
-        assert tilt[0] > tilt[1] > tilt[2] and tilt[2] < 8.0
+        assert tilt[0] > 2.0 * max(tilt[1:]), "with the engine's vibration in R the error is another"
     if name == "switched":
         implied = {c.what: c for c in result.claims if c.what.startswith("5 +- 0.8 m/s, SEKF")}
         assert (

@@ -155,3 +155,11 @@ def test_the_list_names_source_and_peers(capsys: pytest.CaptureFixture[str], mon
         (row,) = (r for r in json.loads(capsys.readouterr().out) if r["name"] == method.name)
         assert f"'{method.package}' is not installed" in row["source"]
         assert row["settings"]["aiding"] == "none"
+
+
+def test_the_log_keeps_as_much_of_the_truth_as_asked(tmp_path: Path) -> None:
+    assert scenarios.load("circuit").truth_rate == 100.0
+    path = write(tmp_path, "truth_rate_hz = 400.0\n" + MINIMAL)
+    assert scenarios.load(path).truth_rate == 400.0
+    with pytest.raises(InputError, match="truth_rate_hz: 800 is out of range"):
+        scenarios.load(write(tmp_path, "truth_rate_hz = 800.0\n" + MINIMAL))
