@@ -28,25 +28,51 @@ PEERS = ("vqf", "imufusion", "madgwick", "mahony", "ahrs-ekf", "turbo-ckf")
 
 # key: what it is, settings, goals by suite (tilt, heading; deg), bounds of NEES and NIS
 ROWS: dict[str, tuple[str, dict[str, Any], tuple[tuple[float, float], ...], tuple[float, float]]] = {
-    "paper": ("`marg-ckf` as the paper says", {"method": "marg-ckf"}, (), (0.0, math.inf)),
+    "paper": ("`marg-ckf` as the paper says: magnetometer", {"method": "marg-ckf"}, (), (0.0, math.inf)),
     "ekf-air": (
-        "`marg-ekf`, airspeed aided",
+        "`marg-ekf`: magnetometer, airspeed",
         {"method": "marg-ekf", "aiding": "airspeed"},
         ((1.1, 2.0), (0.45, 0.75)),
         (0.0, 3.0),
     ),
     "ckf-air": (
-        "`marg-ckf`, airspeed aided",
+        "`marg-ckf`: magnetometer, airspeed",
         {"method": "marg-ckf", "aiding": "airspeed"},
         ((1.1, 2.0), (0.45, 0.75)),
         (0.0, 3.0),
     ),
-    "air-ins": ("`air-ins`", {"method": "air-ins", "heading_aid": False}, ((0.75, 1.2), (0.38, 0.68)), (0.0, 3.0)),
-    "ins15": ("`ins15`", {"method": "ins15", "heading_aid": False}, ((0.85, 1.4), (0.2, 0.3)), (0.0, 3.0)),
-    "ins21": ("`ins21`", {"method": "ins21", "heading_aid": False}, ((0.6, 0.6), (0.15, 0.25)), (0.5, 2.0)),
-    "dual": ("`ins21` and dual antenna", {"method": "ins21"}, ((0.6, 0.35), (0.15, 0.22)), (0.5, 2.0)),
+    "air-ins": (
+        "`air-ins`: magnetometer, airspeed",
+        {"method": "air-ins", "heading_aid": False},
+        ((0.75, 1.2), (0.38, 0.68)),
+        (0.0, 3.0),
+    ),
+    "ins15": (
+        "`ins15`: magnetometer, GNSS",
+        {"method": "ins15", "heading_aid": False},
+        ((0.85, 1.4), (0.2, 0.3)),
+        (0.0, 3.0),
+    ),
+    "ins21": (
+        "`ins21`: magnetometer, GNSS",
+        {"method": "ins21", "heading_aid": False},
+        ((0.6, 0.6), (0.15, 0.25)),
+        (0.5, 2.0),
+    ),
+    "air-dual": (
+        "`air-ins`: magnetometer, airspeed, two antennas",
+        {"method": "air-ins", "heading_aid": True},
+        (),
+        (0.0, 3.0),
+    ),
+    "dual": (
+        "`ins21`: magnetometer, GNSS, two antennas",
+        {"method": "ins21", "heading_aid": True},
+        ((0.6, 0.35), (0.15, 0.22)),
+        (0.5, 2.0),
+    ),
     "outage": (
-        "`ins21` and airspeed, 60 s without GNSS in a turn",
+        "`ins21`: magnetometer, GNSS, airspeed; 60 s without GNSS in a turn",
         {"method": "ins21", "aiding": "gnss+airspeed", "heading_aid": False},
         ((0.9, 1.3), (0.3, 0.5)),
         (0.0, 3.0),
@@ -58,7 +84,8 @@ INTRO = """# Accuracy in turns
 Made by `python benchmarks/turns_accuracy.py --markdown docs/accuracy.md`; do not edit.
 
 {flights}. RMS over flights from {start:.0f} s on, tilt / heading in degrees; "worst seed" is the tilt of the worst
-seed over that RMS (goal: {worst} at most). NEES and NIS are means per degree of freedom, 1 for an honest filter.
+seed over that RMS (goal: {worst} at most). NEES and NIS are means per degree of freedom, 1 for a consistent filter.
+After the colon: what an estimator uses besides gyro and accelerometer; two antennas give the heading of their baseline.
 {peers}
 """
 
@@ -97,15 +124,17 @@ The goals were set on a prototype with its own sensors; the grades here say what
   of the ports, 3 Pa) is good to 2.4 %. States for the airspeed's scale and direction were tried and made it worse (they
   trade with the accelerometer's bias); no setting of its noise improved the tilt by more than 3 % (seeds 1 to 3).
 * **`marg-*`** weighs the gyro more and is fooled less by the pitot, but has no bias of the accelerometer to learn.
-* **Misalignment of the accelerometer** is the floor of every navigator's tilt, and through the dip of its heading:
-  along with the airframe it is an attitude like any other, which only turns tell apart, slowly.
+* **Misalignment of the accelerometer** is the largest part of what is left to these navigators, in tilt and through the
+  dip in heading. It is no floor: turns tell it from an attitude, and a navigator that has it as a state, together with
+  the matrices of gyro and magnetometer, goes below: a prototype of 68 error states had 0.38 / 0.34 on `turns`, seeds
+  9011 to 9015, where `ins21` had 0.80 / 0.75. One matrix alone gains little, since each hides the others.
 * **Worst seed**: the largest of fifty draws lies further out than that of twenty, of which the goal speaks.
 * **Dual antenna**: its multipath wanders (0.18 deg over 60 s) and the baseline is mounted to 0.15 deg: 0.24 deg is
   all that it knows; a goal below needs a calibrated installation.
 * **More states for the same sensors**: `ins21` with the six misalignments of the gyro as states too (27 in all; tried
   on seeds 1 to 8, whole flights, CHR, not kept) came from 0.65 / 0.72 to 0.59 / 0.63, and no setting of its noises,
-  changed by itself, makes both better by more than 3 %: what is left is the accelerometer's misalignment and what no
-  turn shows.
+  changed by itself, makes both better by more than 3 %. That is where this set of states ends, not where the sensors
+  do: what they allow is said by the Cramer-Rao bound of the whole set of errors, not by what was tried.
 * **NIS**: what wanders in a fix over a minute is in the estimated place (`position_time`), field and baseline count
   once a second, and the measurements keep the noise from one to the next. The airspeed of `air-ins` stays below 1: its
   noise is the incidence and sideslip that it does not measure, which change slowly.
@@ -199,7 +228,9 @@ def lines(flown: dict[int, list[dict[str, Any]]]) -> list[str]:
             found = summary(flown, f"{key}-{suite}")
             if found is None:
                 continue
-            goal, judged = "above 15 in tilt", "shown" if found[0] > 15.0 else "not shown"
+            goal, judged = "", ""
+            if key == "paper":
+                goal, judged = "above 15 in tilt", "shown" if found[0] > 15.0 else "not shown"
             if goals:
                 asked = goals[SUITES.index(suite)]
                 goal, judged = f"{asked[0]:g} / {asked[1]:g}", verdict(found, asked, bounds)
