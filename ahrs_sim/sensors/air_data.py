@@ -70,12 +70,15 @@ class AirData:
         self.period = every * fitting.dt
         self._clock = Clock(every)
         self._channels = [fitting.channel(name) for name in ("diff_pressure", "static_pressure", "vanes")]
-        rng = fitting.stream("air_data", "turn-on")
-        draws = rng.standard_normal(7)
-        self.diff_bias, self.static_bias = draws[0] * f.diff_bias, draws[1] * f.static_bias  # Pa
-        self.diff_scale, self.position_error = draws[2] * f.diff_scale, draws[3] * f.position_error
-        self.temperature_bias = draws[4] * f.temperature_bias  # K
-        self.vane_bias = draws[5:7] * f.vane_bias  # rad
+
+        def drawn(term: str) -> float:
+            return float(fitting.normal("air_data", term))
+
+        self.diff_bias, self.static_bias = drawn("diff bias") * f.diff_bias, drawn("static bias") * f.static_bias  # Pa
+        self.diff_scale = drawn("diff scale") * f.diff_scale
+        self.position_error = drawn("position error") * f.position_error
+        self.temperature_bias = drawn("temperature bias") * f.temperature_bias  # K
+        self.vane_bias = fitting.normal("air_data", "vane bias", 2) * f.vane_bias  # rad
         self.day_pressure = fitting.world("pressure of the day").standard_normal() * f.day_pressure  # Pa
         self._lag = _share(f.lag, fitting.dt)
         self._pipes = np.full(2, np.nan)  # Pa, state of the lag: impact, static

@@ -39,6 +39,10 @@ class Fitting:
         """The generator of a process of this suite."""
         return seeds.generator(self.seed, "suite", self.suite, *name)
 
+    def normal(self, instrument: str, term: str, *shape: int) -> np.ndarray:
+        """Draw what an error term is in this flight: standard normal numbers of `shape` from a stream of its own."""
+        return self.stream(instrument, term).standard_normal(shape)
+
     def world(self, name: str) -> np.random.Generator:
         """The generator of something that all suites meet alike."""
         return seeds.generator(self.seed, "world", name)

@@ -24,7 +24,8 @@ from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import FixRecord, Record, VelocityRecord
 from ahrs_sim.sensors.sampling import Clock, nanoseconds, pick
 from ahrs_sim.world import satellites
-from ahrs_sim.world.wgs84 import E2, A
+from estimators.earth import move
+from estimators.rotations import nav_vector
 
 
 @dataclass(frozen=True)
@@ -171,22 +172,18 @@ def _antenna(
     """
     deg = 180.0 / math.pi
     for i in range(lla.shape[0]):
-        a, b, c, d = q_nb[i, 0], q_nb[i, 1], q_nb[i, 2], q_nb[i, 3]
         x, y, z = arm[i, 0], arm[i, 1], arm[i, 2]
         p, q, r = rate[i, 0], rate[i, 1], rate[i, 2]
-        u, v, w = q * z - r * y, r * x - p * z, p * y - q * x
-        c00, c01, c02 = a * a + b * b - c * c - d * d, 2.0 * (b * c - a * d), 2.0 * (b * d + a * c)
-        c10, c11, c12 = 2.0 * (b * c + a * d), a * a - b * b + c * c - d * d, 2.0 * (c * d - a * b)
-        c20, c21, c22 = 2.0 * (b * d - a * c), 2.0 * (c * d + a * b), a * a - b * b - c * c + d * d
-        out_vel[i, 0] = vel_n[i, 0] + (c00 * u + c01 * v + c02 * w) + velocity_error[i, 0]
-        out_vel[i, 1] = vel_n[i, 1] + (c10 * u + c11 * v + c12 * w) + velocity_error[i, 1]
-        out_vel[i, 2] = vel_n[i, 2] + (c20 * u + c21 * v + c22 * w) + velocity_error[i, 2]
-        north = c00 * x + c01 * y + c02 * z + position_error[i, 0]
-        east = c10 * x + c11 * y + c12 * z + position_error[i, 1]
-        below = c20 * x + c21 * y + c22 * z + position_error[i, 2]
-        s = math.sin(lla[i, 0])
-        w2 = 1.0 - E2 * s * s
-        prime = A / math.sqrt(w2)
-        lla_deg[i, 0] = (lla[i, 0] + north / (prime * (1.0 - E2) / w2 + lla[i, 2])) * deg
-        lla_deg[i, 1] = (lla[i, 1] + east / ((prime + lla[i, 2]) * math.cos(lla[i, 0]))) * deg
-        lla_deg[i, 2] = lla[i, 2] - below
+        turning = nav_vector(q_nb[i], q * z - r * y, r * x - p * z, p * y - q * x)
+        for k in range(3):
+            out_vel[i, k] = vel_n[i, k] + turning[k] + velocity_error[i, k]
+        north, east, below = nav_vector(q_nb[i], x, y, z)
+        move(
+            lla[i],
+            north + position_error[i, 0],
+            east + position_error[i, 1],
+            below + position_error[i, 2],
+            lla_deg[i],
+        )
+        lla_deg[i, 0] *= deg
+        lla_deg[i, 1] *= deg

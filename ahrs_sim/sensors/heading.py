@@ -24,6 +24,7 @@ from ahrs_sim.sensors.noise import White, gauss_markov
 from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import HeadingRecord, Record
 from ahrs_sim.sensors.sampling import Clock, nanoseconds, pick
+from estimators.rotations import nav_vector, wrap
 
 WAVELENGTH = 0.1903  # m, GPS L1
 LEAST_SATELLITES = 6
@@ -60,9 +61,7 @@ class DualAntenna:
         self._sky = sky
         self._lock = Lock(LEAST_SATELLITES, f.reacquisition, self.period)
         self._channel = fitting.channel("heading")
-        self.misalignment = (
-            fitting.stream("heading", "turn-on").standard_normal(2) * f.misalignment
-        )  # rad, yaw and pitch
+        self.misalignment = fitting.normal("heading", "turn-on", 2) * f.misalignment  # rad, yaw and pitch
         self._direction = attitude.matrix(0.0, self.misalignment[1], f.baseline_yaw + self.misalignment[0])[:, 0].copy()
         self._white = White(np.array([f.phase_noise / f.baseline]), fitting.stream("heading", "white"))
         wander = np.array([f.phase_wander / f.baseline])
@@ -115,9 +114,7 @@ def _azimuth(
 ) -> None:  # fmt: skip
     """Heading (m, 1) in (-pi, pi]; NaN when the baseline points within 10 deg of the vertical."""
     for i in range(out.shape[0]):
-        a, b, c, d = q_nb[i, 0], q_nb[i, 1], q_nb[i, 2], q_nb[i, 3]
-        north = (a * a + b * b - c * c - d * d) * e[0] + 2.0 * (b * c - a * d) * e[1] + 2.0 * (b * d + a * c) * e[2]
-        east = 2.0 * (b * c + a * d) * e[0] + (a * a - b * b + c * c - d * d) * e[1] + 2.0 * (c * d - a * b) * e[2]
+        north, east, _ = nav_vector(q_nb[i], e[0], e[1], e[2])
         if state[0] > 0.0:
             state[0] -= 1.0
         elif uniform[i, 0] < chance:
@@ -127,5 +124,4 @@ def _azimuth(
         if north * north + east * east < 0.03:
             out[i, 0] = np.nan
             continue
-        x = math.atan2(east, north) - yaw + noise[i, 0] + wrong
-        out[i, 0] = x - 2.0 * math.pi * math.ceil((x - math.pi) / (2.0 * math.pi))
+        out[i, 0] = wrap(math.atan2(east, north) - yaw + noise[i, 0] + wrong)

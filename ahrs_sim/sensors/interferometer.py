@@ -23,6 +23,7 @@ from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import PhaseRecord, Record
 from ahrs_sim.sensors.sampling import Clock, nanoseconds, pick
 from ahrs_sim.world.wgs84 import radii
+from estimators.rotations import nav_vector, wrap
 
 LIGHT = 299792458.0  # m/s
 
@@ -98,20 +99,16 @@ def _observe(
 ) -> None:  # fmt: skip
     """Phase in (-pi, pi], phase rate and coarse bearing (m, 3)."""
     for i in range(out.shape[0]):
-        a, b, c, d = q_nb[i, 0], q_nb[i, 1], q_nb[i, 2], q_nb[i, 3]
         north = emitter[0] - (lla[i, 0] - origin[0]) * scale[0]
         east = emitter[1] - (lla[i, 1] - origin[1]) * scale[1]
         theta = math.atan2(east, north)
         turning = (vel_n[i, 0] * math.sin(theta) - vel_n[i, 1] * math.cos(theta)) / math.sqrt(north**2 + east**2)
-        nose_n, nose_e = a * a + b * b - c * c - d * d, 2.0 * (b * c + a * d)
+        nose_n, nose_e, _ = nav_vector(q_nb[i], 1.0, 0.0, 0.0)
         alpha = math.atan2(nose_e, nose_n)
         # d(alpha)/dt from the velocity of the nose's tip, r y - q z in body axes.
-        q, r = rate[i, 1], rate[i, 2]
-        tip_n = 2.0 * (b * c - a * d) * r - 2.0 * (b * d + a * c) * q
-        tip_e = (a * a - b * b + c * c - d * d) * r - 2.0 * (c * d - a * b) * q
+        tip_n, tip_e, _ = nav_vector(q_nb[i], 0.0, rate[i, 2], -rate[i, 1])
         yawing = (nose_n * tip_e - nose_e * tip_n) / (nose_n * nose_n + nose_e * nose_e)
         phase = k * math.cos(theta - alpha) + noise[i, 0]
-        out[i, 0] = phase - 2.0 * math.pi * math.ceil((phase - math.pi) / (2.0 * math.pi))
+        out[i, 0] = wrap(phase)
         out[i, 1] = -k * math.sin(theta - alpha) * (turning - yawing) + noise[i, 1]
-        bearing = theta + noise[i, 2]
-        out[i, 2] = bearing - 2.0 * math.pi * math.ceil((bearing - math.pi) / (2.0 * math.pi))
+        out[i, 2] = wrap(theta + noise[i, 2])

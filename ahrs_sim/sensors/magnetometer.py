@@ -20,6 +20,7 @@ from ahrs_sim.sensors.records import MagRecord, Record
 from ahrs_sim.sensors.sampling import Clock, nanoseconds, pick
 from ahrs_sim.sensors.triad import Triad, TriadFigures
 from ahrs_sim.world import magnetic
+from estimators.rotations import to_body
 
 
 @dataclass(frozen=True)
@@ -46,9 +47,8 @@ class Magnetometer:
         self._faults = fitting.faults
         self._epoch = fitting.epoch
         self.triad = Triad("magnetometer", f, fitting, every)
-        rng = fitting.stream("magnetometer", "aircraft")
-        self.motor_field = rng.standard_normal(3) * f.motor_field
-        iron = rng.standard_normal((3, 3)) * f.soft_iron
+        self.motor_field = fitting.normal("magnetometer", "motor field", 3) * f.motor_field
+        iron = fitting.normal("magnetometer", "soft iron", 3, 3) * f.soft_iron
         self.triad.matrix[:] = (np.eye(3) + 0.5 * (iron + iron.T)) @ self.triad.matrix
         self.model_error = fitting.world("magnetic field").standard_normal(3) * f.model_error
         self._outbox = Outbox(MagRecord, fitting.channel("magnetometer"), 0.0)
@@ -99,15 +99,7 @@ def _field_in_body(
             for j in range(3):
                 held[j] = field_n[m, j]
             m += 1
-        a, b, c, d = q_nb[i, 0], q_nb[i, 1], q_nb[i, 2], q_nb[i, 3]
-        x, y, z = held[0] + external[i, 0], held[1] + external[i, 1], held[2] + external[i, 2]
+        to_body(q_nb[i], held[0] + external[i, 0], held[1] + external[i, 1], held[2] + external[i, 2], out[i])
         k = throttle[i] if throttle[i] == throttle[i] else 0.0
-        out[i, 0] = (
-            (a * a + b * b - c * c - d * d) * x + 2.0 * (b * c + a * d) * y + 2.0 * (b * d - a * c) * z + k * motor[0]
-        )
-        out[i, 1] = (
-            2.0 * (b * c - a * d) * x + (a * a - b * b + c * c - d * d) * y + 2.0 * (c * d + a * b) * z + k * motor[1]
-        )
-        out[i, 2] = (
-            2.0 * (b * d + a * c) * x + 2.0 * (c * d - a * b) * y + (a * a - b * b - c * c + d * d) * z + k * motor[2]
-        )
+        for j in range(3):
+            out[i, j] += k * motor[j]

@@ -76,17 +76,18 @@ class Triad:
         rate = 1.0 / self.period
         corners = [c for c in (f.bandwidth, f.antialias * rate) if c > 0.0]
         self.band = BandLimit(min(corners, default=0.0), f.delay, fitting.dt, every, longest)
-        # Every term draws whether it has a size or not: a grade's other figures leave its draws as they are.
-        rng = fitting.stream(name, "turn-on")
-        self.turn_on = rng.standard_normal(3) * f.turn_on_bias
-        self.matrix = math.tan(f.misalignment) * rng.standard_normal((3, 3))
-        self.matrix += f.cross_axis * rng.standard_normal((3, 3))
-        np.fill_diagonal(self.matrix, 1.0 + f.scale * rng.standard_normal(3))
+        # A stream for each term: another term, or another size of one, leaves the draws of all others as they are.
+        self.turn_on = fitting.normal(name, "turn-on", 3) * f.turn_on_bias
+        self.matrix = math.tan(f.misalignment) * fitting.normal(name, "misalignment", 3, 3)
+        self.matrix += f.cross_axis * fitting.normal(name, "cross-axis", 3, 3)
+        np.fill_diagonal(self.matrix, 1.0 + f.scale * fitting.normal(name, "scale", 3))
         finite = np.isfinite(f.range)
-        self._square = rng.standard_normal(3) * f.non_linearity / np.where(finite, f.range, 1.0) * finite
-        self._tempco = rng.standard_normal(3) * f.temperature_drift
-        self._g_matrix = rng.standard_normal((3, 3)) * getattr(f, "g_sensitivity", 0.0)
-        self._rectification = rng.standard_normal(3) * getattr(f, "vibration_rectification", np.zeros(3))
+        self._square = fitting.normal(name, "non-linearity", 3) * f.non_linearity
+        self._square *= finite / np.where(finite, f.range, 1.0)
+        self._tempco = fitting.normal(name, "temperature", 3) * f.temperature_drift
+        self._g_matrix = fitting.normal(name, "g-sensitivity", 3, 3) * getattr(f, "g_sensitivity", 0.0)
+        rectification = getattr(f, "vibration_rectification", np.zeros(3))
+        self._rectification = fitting.normal(name, "rectification", 3) * rectification
         self._white = White(white_sigma(f.noise_density, rate), fitting.stream(name, "white"))
         self._in_run = in_run_bias(f.bias_floor, f.rate_random_walk, self.period, fitting.stream(name, "in-run"))
         # Whole quanta within the range, so that quantising what was clipped changes nothing more.

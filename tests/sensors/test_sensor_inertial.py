@@ -1,6 +1,8 @@
 """Gyro, accelerometer and magnetometer: every deterministic term against its equation, every draw against its sigma."""
 
 import dataclasses
+import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 from scipy import signal
 from sensor_helpers import DT, EPOCH, quaternion, run, same, suite, truth, wild
 
+from ahrs_sim.sensors.fitting import Fitting
 from ahrs_sim.world import magnetic
 
 G0 = 9.80665
@@ -302,3 +305,34 @@ def test_a_place_counts_from_the_centre_of_gravity() -> None:
     flight = truth(400, rate_ib_b=[0.0, 0.0, 2.0], cg_b=[-0.5, 0.0, 0.0])
     out = run(suite("ideal", position_m=[0.1, 0.0, -0.05], **IMU), flight)
     np.testing.assert_allclose(out["imu"].accel_b[0], [-0.4, 0.0, -9.81], atol=1e-12)  # -w^2 r
+
+
+TERMS = {
+    "turn-on": "turn_on", "misalignment": "matrix", "cross-axis": "matrix", "scale": "matrix",
+    "non-linearity": "_square", "temperature": "_tempco", "g-sensitivity": "_g_matrix",
+    "rectification": "_rectification",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("term", TERMS)
+def test_a_term_that_draws_more_changes_no_other(term: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every error term has a stream of its own, so that a new one leaves all flights as they are."""
+
+    def drawn() -> dict[str, np.ndarray]:
+        imu: Any = suite("chr_6dm", **IMU, **sizes)._instruments[0]
+        return {name: np.array(getattr(imu.gyro, name)) for name in set(TERMS.values())}
+
+    sizes: dict[str, Any] = {
+        "gyro": {"cross_axis_percent": 1.0, "non_linearity_percent": 0.1, "vibration_rectification_dps_per_g2": 0.1}
+    }
+    before = drawn()
+    plain = Fitting.normal
+
+    def greedy(self: Fitting, instrument: str, name: str, *shape: int) -> np.ndarray:
+        if name != term:
+            return plain(self, instrument, name, *shape)
+        return plain(self, instrument, name, math.prod(shape) + 1)[1:].reshape(shape)
+
+    monkeypatch.setattr(Fitting, "normal", greedy)
+    changed = {name for name, values in drawn().items() if not np.array_equal(values, before[name])}
+    assert changed == {TERMS[term]}
