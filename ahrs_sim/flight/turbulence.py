@@ -40,6 +40,7 @@ _INTENSITY = {  # RMS in ft/s that is exceeded with a probability of 1e-2, 1e-3,
     "moderate": (8.6, 9.6, 10.6, 10.1, 8.0, 6.6, 5.0, 4.2, 2.7, 0.0, 0.0, 0.0),
     "severe": (15.6, 17.6, 23.0, 23.6, 22.1, 20.0, 16.0, 15.1, 12.1, 7.9, 6.2, 5.1),
 }
+LOOKS = 2  # calls of `ahead` for which one of them does the work
 _CHUNK = 500  # calls of `ahead` for which noise is drawn at once
 
 
@@ -94,19 +95,23 @@ class RoughAir:
     """
 
     def __init__(self, fdm: Fdm, wind: Wind, seed: int, steps: int) -> None:
-        self._wind, self._steps, self._dt = wind, steps, fdm.dt
+        self._wind, self._steps, self._dt = wind, LOOKS * steps, fdm.dt
         self._mean = -wind.speed * math.cos(wind.from_), -wind.speed * math.sin(wind.from_)
         self._random = seeds.generator(seed, "wind", "turbulence")
         self._noise = np.empty((0, 6))
         self._state = first_state(self._random.standard_normal(6))
         self._before: np.ndarray | None = None
         self._span = fdm["metrics/bw-ft"] * FT
-        names = [f"atmosphere/gust-{axis}-fps" for axis in ("north", "east", "down")]
-        if fdm.has("gust/p-rad_sec") and wind.turbulence != "none":
-            names += [f"gust/{axis}-rad_sec" for axis in "pqr"]
-        self._put = [fdm.setter(name) for name in names]
-        self._waiting: Iterator[Sequence[float]] = iter(())
-        self.step = self._step_6 if len(names) == 6 else self._step_3
+        self._put_u, self._put_v, self._put_w = (
+            fdm.setter(f"atmosphere/gust-{axis}-fps") for axis in ("north", "east", "down")
+        )
+        self._put_p, self._put_q, self._put_r = (
+            fdm.setter(f"gust/{axis}-rad_sec") if fdm.has(f"gust/{axis}-rad_sec") else _nobody for axis in "pqr"
+        )
+        self._gusts: Iterator[Sequence[float]] = iter(())
+        self._rates: Iterator[Sequence[float]] = iter(())
+        self._turn = False  # whether the next step sets rates
+        self._looks = 0
 
     @staticmethod
     def wanted(wind: Wind) -> bool:
@@ -114,13 +119,16 @@ class RoughAir:
         return wind.turbulence != "none" or (wind.roughness > 0.0 and wind.speed > 0.0)
 
     def ahead(self, height: float, velocity_n: Sequence[float], euler: Sequence[float]) -> None:
-        """Work out the air of the next steps.
+        """Work out the air of the next steps, at every other call.
 
         Args:
             height: m above the ground.
             velocity_n: (3,) m/s over the ground.
             euler: (3,) rad, roll, pitch, heading.
         """
+        self._looks += 1
+        if self._looks % LOOKS != 1:
+            return
         wind = self._wind
         north, east, down = velocity_n[0] - self._mean[0], velocity_n[1] - self._mean[1], velocity_n[2]
         grown = gradient(height, wind.roughness) - 1.0
@@ -139,30 +147,32 @@ class RoughAir:
             euler[0], euler[1], euler[2],
         )  # fmt: skip
         self._before = now
-        self._waiting = iter(air.tolist())
+        self._gusts, self._rates = iter(air[::2, :3].tolist()), iter(air[1::2, 3:].tolist())
+        self._turn = False
 
-    def _step_3(self) -> None:
-        north, east, down = self._put
-        u, v, w, *_ = next(self._waiting)
-        north(u)
-        east(v)
-        down(w)
-
-    def _step_6(self) -> None:
-        north, east, down, roll, pitch, yaw = self._put
-        u, v, w, p, q, r = next(self._waiting)
-        north(u)
-        east(v)
-        down(w)
-        roll(p)
-        pitch(q)
-        yaw(r)
+    def step(self) -> None:
+        """Hand the air of the next step to JSBSim: gusts and rates in turn, as a setter costs a fiftieth of a step."""
+        if self._turn:
+            p, q, r = next(self._rates)
+            self._put_p(p)
+            self._put_q(q)
+            self._put_r(r)
+        else:
+            u, v, w = next(self._gusts)
+            self._put_u(u)
+            self._put_v(v)
+            self._put_w(w)
+        self._turn = not self._turn
 
     def _drawn(self) -> np.ndarray:
         if len(self._noise) == 0:
             self._noise = self._random.standard_normal((_CHUNK * self._steps, 6))
         drawn, self._noise = self._noise[: self._steps], self._noise[self._steps :]
         return drawn
+
+
+def _nobody(value: float) -> None:
+    """Take the rates of an aircraft that does not: those of JSBSim's library."""
 
 
 def first_state(noise: np.ndarray) -> np.ndarray:
