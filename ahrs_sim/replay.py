@@ -62,7 +62,7 @@ def replay(
     *,
     estimators: Sequence[str] = (),
     map_file: Path | None = None,
-    calibrate: Sequence[str] = (),
+    calibrate: Sequence[str] = ("auto",),
     sync: bool = False,
     reference: str | None = None,
     date: datetime.datetime | None = None,
@@ -83,7 +83,7 @@ def replay(
         estimators: only these of the log's scenario or the map, `METHOD@SUITE`, or `METHOD` for a bag; none: all of
             the scenario or the map, else what fits a bag's sensors.
         map_file: what topics and axes of a bag mean.
-        calibrate: "mag", "gyro": from the bag's own data.
+        calibrate: "mag", "gyro": from the bag's own data; "auto": the magnetometer, where there is one.
         sync: shift a bag's reference to the time of its gyro.
         reference: topic of a bag's reference attitude.
         date: of a bag whose times are no dates.
@@ -112,7 +112,7 @@ def replay(
         with FlightReader(path) as log:
             foreign = not is_flight(log)
             if not foreign:
-                if map_file or calibrate or sync or reference or date:
+                if map_file or set(calibrate) - {"auto"} or sync or reference or date:
                     unneeded = "--map, --calibrate, --sync, --reference or --date"
                     raise InputError(f"{path}: a log of ours needs no {unneeded}; leave them out")
                 _run(_cut(of_flight(log, estimators, gate=gate), *span), output, prefixes, force, progress, live)

@@ -34,7 +34,11 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     )
     command.add_argument("--date", type=moment, help="when it was, where its times start near 0: 2026-06-01")
     command.add_argument(
-        "--calibrate", action="append", default=[], choices=["mag", "gyro"], help="from the bag's own data"
+        "--calibrate",
+        action="append",
+        default=[],
+        choices=["mag", "gyro", "auto", "none"],
+        help="from the bag's own data; auto, the default: hard and soft iron, kept where the rest of the data agrees",
     )
     add_span(command, "errors ")
     command.add_argument("--skip", type=positive, metavar="S", help="estimators see nothing of the first S seconds")
@@ -42,6 +46,11 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument("--align", choices=["heading", "frames"], help="take out a constant rotation first")
     command.add_argument("--sync", action="store_true", help="shift a bag's reference to the time of its gyro")
     command.add_argument("--reference", metavar="TOPIC", help="what a recording's errors are taken against")
+    command.add_argument(
+        "--find",
+        action="store_true",
+        help="only look how the sensors are installed: delays, lever arm, boresight, scale",
+    )
     command.add_argument("--force", action="store_true", help="replace an existing log")
     command.add_argument("--json", action="store_true", help="print the accuracy as JSON")
     add_live(command)
@@ -55,6 +64,9 @@ def run(arguments: argparse.Namespace) -> None:
     from ahrs_sim import replay
     from ahrs_sim.errors import FlightError
 
+    if arguments.find:
+        _find(arguments)
+        return
     changed = arguments.map or arguments.calibrate or arguments.sync or arguments.align
     changed = changed or arguments.skip or arguments.until or arguments.reference or arguments.date
     if not (arguments.output or changed or arguments.live is not None) and _evaluate_only(arguments):
@@ -69,7 +81,7 @@ def run(arguments: argparse.Namespace) -> None:
                 output,
                 estimators=arguments.estimator,
                 map_file=arguments.map,
-                calibrate=arguments.calibrate,
+                calibrate=arguments.calibrate or ["auto"],
                 sync=arguments.sync,
                 reference=arguments.reference,
                 date=arguments.date,
@@ -98,6 +110,21 @@ def run(arguments: argparse.Namespace) -> None:
         print(arguments.output)
     if failure:
         raise failure
+
+
+def _find(arguments: argparse.Namespace) -> None:
+    """Print how the sensors of a recording are installed, and the lines for a map."""
+    import math
+
+    from ahrs_sim.recordings.recording import open_bag
+
+    span = (arguments.skip or 0.0, arguments.until or math.inf)
+    calibrate = arguments.calibrate or ["auto"]
+    with open_bag(arguments.log, map_file=arguments.map, calibrate=calibrate, span=span) as bag:
+        found = bag.installation()
+        print("\n".join([*bag.notes, "", *found.lines]))
+    lines = found.toml()
+    print(f"\nlines for a map:\n{lines}" if lines else "\nnothing to put into a map")
 
 
 def _evaluate_only(arguments: argparse.Namespace) -> bool:

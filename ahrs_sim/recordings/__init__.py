@@ -4,6 +4,10 @@ sources     any file (MCAP, db3, ULog, DataFlash, CSV) as topics of standard mes
 frames      FLU and FRD, ENU and NED
 mapping     the user's map and the choice of topics
 convert     messages -> records, in order of their stamps
-survey      one look at everything: conventions, standing stretches, calibration
+survey        one look at everything, as means over a tenth of a second
+inertial      IMU against GNSS velocity, over some seconds each
+checks        what contradicts the conventions assumed
+calibration   gyro bias, hard and soft iron, and whether they help
+installation  delays, lever arm, boresight, orientation, scale
 recording   all of it put together, for a replay
 """

@@ -25,7 +25,6 @@ _LATE = 0.05  # s: smaller delays of GNSS are not worth a line
 _MISFIT = 1.0  # m/s: IMU and GNSS velocity agree to less than this
 _DIP = math.radians(20.0)
 _COURSE = math.radians(8.0)
-_HEADING_KNOWN = math.radians(4.0)  # sigma up to which a window's attitude counts as known
 _TURN_BINS = 5
 
 
@@ -335,41 +334,10 @@ def _dip(s: Survey, assumed: Assumed) -> list[str]:
     return [f"{text}: hard iron (--calibrate mag), mounting or place?"]
 
 
-@dataclass(frozen=True)
-class Course:
-    """How the field stands to that of the model, by the headings of GNSS and IMU."""
-
-    offset: float  # rad, to the right
-    sigma: float
-    spread: float  # rad, RMS about it, from one stretch of flight to the next
-    count: int
-
-
-def course(mag_b: np.ndarray, field_n: np.ndarray, track: Track) -> Course | None:
-    """Direction of the field (n, 3) against the model's; None when too few headings are known."""
-    w = track.windows
-    angles = []
-    for k in track.which[track.heading_sigma[track.which] < _HEADING_KNOWN]:
-        rows = np.arange(w.first[k], w.last[k] + 1)
-        rows = rows[np.isfinite(mag_b[rows]).all(axis=1)]
-        if len(rows) < 20:
-            continue
-        field = np.einsum("nij,nj->ni", track.attitude(rows), mag_b[rows]).mean(axis=0)
-        if math.hypot(field[0], field[1]) > 0.05 * np.linalg.norm(field):
-            angles.append(math.atan2(field[1], field[0]) - math.atan2(field_n[1], field_n[0]))
-    if len(angles) < 4:
-        return None
-    around = np.exp(1j * np.array(angles))
-    middle = complex(np.mean(around))
-    off = np.angle(around / middle)
-    spread = float(np.std(off, ddof=1))
-    return Course(float(np.angle(middle)), spread / math.sqrt(len(off)), spread, len(off))
-
-
 def _course(assumed: Assumed, track: Track) -> list[str]:
     if assumed.field_n is None or not np.isfinite(assumed.mag_b).any():
         return []
-    found = course(assumed.mag_b, assumed.field_n, track)
+    found = inertial.course_of(assumed.mag_b, track, math.atan2(assumed.field_n[1], assumed.field_n[0]))
     if found is None:
         return []
     off, sigma, spread = (abs(math.degrees(x)) for x in (found.offset, found.sigma, found.spread))

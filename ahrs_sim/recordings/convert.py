@@ -243,12 +243,12 @@ class Converter:
         pressure = array["fluid_pressure"]
         if "air" not in self.chosen:
             ns = self._stamps("diff_pressure", array)
-            indicated, true = self._airspeed(ns, pressure)
+            indicated, true = (self.mapping.air_scale * speed for speed in self._airspeed(ns, pressure))
             self._put("air", ns, {"indicated_airspeed": indicated, "airspeed": true}, np.isfinite(true))
         return {"pressure": pressure}
 
     def _air(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
-        return {name: array[name] for name in ("indicated_airspeed", "airspeed")}
+        return {name: self.mapping.air_scale * array[name] for name in ("indicated_airspeed", "airspeed")}
 
     def _reference(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
         q = frames.orientation(array, choice.topic.type_name)

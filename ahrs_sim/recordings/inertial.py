@@ -30,6 +30,7 @@ _MOVING = 1.5  # m/s: spread of velocity from which on a window says something
 _PER_SECOND = 5.0  # readings of GNSS a second that are used
 _GYRO_BIAS, _ACCEL_BIAS, _LEVER, _DELAY = 0.05, 0.5, 20.0, 1.0  # priors: rad/s, m/s2, m, s
 _DELAY_FLOOR, _LEVER_FLOOR = 3e-3, 0.04  # s, m: what means over a tenth of a second leave unsure
+HEADING_KNOWN = math.radians(4.0)  # sigma up to which a window's attitude counts as known
 _ATTITUDE = 1.0  # rad, prior of a window's attitude about the one from the velocities
 
 
@@ -100,8 +101,8 @@ def _integrated(s: Survey, first: np.ndarray, last: np.ndarray, number: np.ndarr
         q[rows] = frames.product(q[rows - 1], turn[rows - 1])
     C = np.stack([frames.rotate(q, np.tile(e, (n, 1))) for e in np.eye(3)], axis=-1)
     force_w = np.einsum("nij,nj->ni", C, s.accel_b)
-    turned = _cumulated(s.t, C, number)
-    lever = np.einsum("nij,njk->nik", _cross(force_w), turned)
+    turned = cumulated(s.t, C, number)
+    lever = np.einsum("nij,njk->nik", cross(force_w), turned)
     return Windows(
         t=s.t,
         first=first,
@@ -109,13 +110,13 @@ def _integrated(s: Survey, first: np.ndarray, last: np.ndarray, number: np.ndarr
         number=number,
         C_wb=C,
         rate_b=s.gyro_b,
-        speed_w=_cumulated(s.t, force_w, number),
+        speed_w=cumulated(s.t, force_w, number),
         turned_w=turned,
-        moved_w=_cumulated(s.t, lever, number),
+        moved_w=cumulated(s.t, lever, number),
     )
 
 
-def _cumulated(t: np.ndarray, values: np.ndarray, number: np.ndarray) -> np.ndarray:
+def cumulated(t: np.ndarray, values: np.ndarray, number: np.ndarray) -> np.ndarray:
     """Integral (n, ...) over time from the start of each window, by trapezia."""
     dt = np.diff(t).reshape(-1, *(1,) * (values.ndim - 1))
     whole = np.concatenate([np.zeros_like(values[:1]), np.cumsum(0.5 * (values[:-1] + values[1:]) * dt, axis=0)])
@@ -125,7 +126,7 @@ def _cumulated(t: np.ndarray, values: np.ndarray, number: np.ndarray) -> np.ndar
     return since
 
 
-def _cross(v: np.ndarray) -> np.ndarray:
+def cross(v: np.ndarray) -> np.ndarray:
     """Matrices (n, 3, 3) of v x."""
     out = np.zeros((len(v), 3, 3))
     out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
@@ -212,7 +213,7 @@ class Track:
         """C_nb (m, 3, 3) at bins `rows`."""
         w = self.windows
         wrong = np.einsum("nij,j->ni", w.turned_w[rows], self.gyro_bias)
-        C_wb = w.C_wb[rows] - np.einsum("nij,njk->nik", _cross(wrong), w.C_wb[rows])
+        C_wb = w.C_wb[rows] - np.einsum("nij,njk->nik", cross(wrong), w.C_wb[rows])
         C_nb: np.ndarray = np.einsum("nij,njk->nik", self.C_nw[w.number[rows]], C_wb)
         return C_nb
 
@@ -344,8 +345,8 @@ class _Fit:
         residual = self.vel_n[g] - self.v0[k] - swept - self.down * since
         ahead = w.between(w.speed_w, at + 0.05) - w.between(w.speed_w, at - 0.05)
         accel_n = (ahead / 0.1) @ C.T + self.down
-        common = np.concatenate([-accel_n[:, :, None], C @ (C_wb @ _cross(rate)), C @ moved, -(C @ turned)], axis=2)
-        own = np.concatenate([np.broadcast_to(np.eye(3), (len(g), 3, 3)), -_cross(swept)], axis=2)
+        common = np.concatenate([-accel_n[:, :, None], C @ (C_wb @ cross(rate)), C @ moved, -(C @ turned)], axis=2)
+        own = np.concatenate([np.broadcast_to(np.eye(3), (len(g), 3, 3)), -cross(swept)], axis=2)
         size = np.linalg.norm(residual, axis=1) / (math.sqrt(3.0) * self.noise)
         weight = np.sqrt(np.minimum(1.0, 2.0 / np.maximum(size, 1e-9))) / self.noise
         rows = (weight[:, None] * residual).ravel()
@@ -363,10 +364,41 @@ class _Fit:
 def _rotation(turn: np.ndarray) -> np.ndarray:
     """Rotation matrix (3, 3) of a rotation vector (3,) rad."""
     angle = float(np.linalg.norm(turn))
-    K = _cross(turn[None])[0]
+    K = cross(turn[None])[0]
     if angle < 1e-9:
         return np.asarray(np.eye(3) + K)
     return np.asarray(np.eye(3) + math.sin(angle) / angle * K + (1 - math.cos(angle)) / angle**2 * K @ K)
+
+
+@dataclass(frozen=True)
+class Course:
+    """How the field stands to that of the model, by the headings of GNSS and IMU."""
+
+    offset: float  # rad, to the right
+    sigma: float
+    spread: float  # rad, RMS about it, from one stretch of flight to the next
+    count: int
+
+
+def course_of(mag_b: np.ndarray, track: Track, declination: float = 0.0) -> Course | None:
+    """Direction of the field (n, 3) against a declination (rad); None when too few headings are known."""
+    w = track.windows
+    angles = []
+    for k in track.which[track.heading_sigma[track.which] < HEADING_KNOWN]:
+        rows = np.arange(w.first[k], w.last[k] + 1)
+        rows = rows[np.isfinite(mag_b[rows]).all(axis=1)]
+        if len(rows) < 20:
+            continue
+        field = np.einsum("nij,nj->ni", track.attitude(rows), mag_b[rows]).mean(axis=0)
+        if math.hypot(field[0], field[1]) > 0.05 * np.linalg.norm(field):
+            angles.append(math.atan2(field[1], field[0]) - declination)
+    if len(angles) < 4:
+        return None
+    around = np.exp(1j * np.array(angles))
+    middle = complex(np.mean(around))
+    off = np.angle(around / middle)
+    spread = float(np.std(off, ddof=1))
+    return Course(float(np.angle(middle)), spread / math.sqrt(len(off)), spread, len(off))
 
 
 def scaled(s: Survey, gyro: np.ndarray, accel: np.ndarray) -> Survey:

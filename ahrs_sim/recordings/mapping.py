@@ -22,6 +22,8 @@ Everything in a map is optional:
     gyro_unit = "deg/s"
     accel_unit = "g"
     gyro_bias = [0.0, 0.0, 0.0]     # rad/s, in the axes of the messages
+    [air]
+    scale = 1.03            # true airspeed by what is read
     [place]                 # else from the first fix and the recording's date
     latitude_deg = 45.3
     longitude_deg = -93.2
@@ -111,9 +113,11 @@ class Map:
     mag_unit: float  # T
     hard_iron: np.ndarray  # (3,) T, in the axes of the messages
     soft_iron: np.ndarray  # (3, 3)
+    has_iron: bool  # given, if only as none
     gyro_unit: float  # rad/s
     accel_unit: float  # m/s2
     gyro_bias: np.ndarray  # (3,) rad/s
+    air_scale: float  # true airspeed by what is read
     place: Mapping[str, float]
     stamps: str | None
     shifts: Mapping[str, int]  # ns, by kind
@@ -149,6 +153,7 @@ def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
     mount = _rotation(mounting)
     mounting.close()
     mag = table.table("magnetometer")
+    has_iron = mag.has("hard_iron") or mag.has("soft_iron")
     unit = UNITS[mag.choice("unit", ["T", "uT", "nT", "G", "mG"], "T")]
     hard = mag.vector("hard_iron", [0.0, 0.0, 0.0]) * unit
     soft = mag.vector("soft_iron", np.eye(3).ravel().tolist(), size=9).reshape(3, 3)
@@ -159,6 +164,9 @@ def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
     accel_unit = UNITS[imu.choice("accel_unit", ["m/s2", "g", "mg"], "m/s2")]
     gyro_bias = imu.vector("gyro_bias", [0.0, 0.0, 0.0])
     imu.close()
+    air = table.table("air")
+    air_scale = air.number("scale", 1.0, minimum=0.1, maximum=10.0)
+    air.close()
     clock = table.table("time")
     date = clock.date("date") if clock.has("date") else None
     stamps = clock.choice("stamps", ["header", "log"], None)
@@ -178,9 +186,11 @@ def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
         mag_unit=unit,
         hard_iron=hard,
         soft_iron=soft,
+        has_iron=has_iron,
         gyro_unit=gyro_unit,
         accel_unit=accel_unit,
         gyro_bias=gyro_bias,
+        air_scale=air_scale,
         place=_place(table.table("place")),
         stamps=stamps,
         date=date,

@@ -16,6 +16,7 @@ from ahrs_sim.errors import InputError
 from ahrs_sim.recordings import calibration as calibrating
 from ahrs_sim.recordings import checks, frames, inertial, mapping, presets, survey
 from ahrs_sim.recordings.convert import RECORDED, Calibration, Converter
+from ahrs_sim.recordings.installation import Installation, find
 from ahrs_sim.recordings.mapping import SUITE, Choice, Map
 from ahrs_sim.recordings.sources import DATES_FROM_NS, Source, open_source
 from ahrs_sim.scenario import Component, Gate, code, estimator_component, short_name
@@ -41,7 +42,11 @@ class Bag:
     converter: Converter
     metadata: dict[str, str]
     notes: list[str]
-    span: tuple[float, float] = (0.0, math.inf)  # s, what estimators see
+    span: tuple[float, float]  # s, what estimators see
+    seen: survey.Survey
+    mag_b: np.ndarray  # (n, 3) T, of the survey, calibrated and in FRD
+    mapping: Map
+    has_place: bool
 
     def __enter__(self) -> Self:
         return self
@@ -61,6 +66,12 @@ class Bag:
         """Kinds of records that come."""
         kinds = [k for k in self.converter.chosen if k != "accel" and not k.startswith(RECORDED)]
         return [*kinds, "air"] if "diff_pressure" in kinds and "air" not in kinds else kinds
+
+    def installation(self) -> Installation:
+        """How its sensors are installed, as far as the recording shows it."""
+        field = np.array(self.site.mag_n)
+        dip = math.asin(field[2] / float(np.linalg.norm(field))) if self.has_place else None
+        return find(self.seen, self.mag_b, self.mapping, self.site.gravity, dip)
 
     def blocks(self) -> Iterator[dict[str, SuiteBlock]]:
         """Records by suite, in order; once."""
@@ -90,7 +101,8 @@ def open_bag(
     Args:
         path: an MCAP, db3, CSV or ULog file.
         map_file: the user's map.
-        calibrate: "mag": fit hard and soft iron; "gyro": take the bias of standing stretches out.
+        calibrate: "mag": fit hard and soft iron and keep what helps, "auto": where the map has none; "gyro": take the
+            bias of standing stretches out.
         sync: shift the reference attitude so that it agrees with the gyro in time.
         names: estimators: of the map, or methods of the catalogue; none: all of the map, else one that fits.
         span: s from the beginning; what was measured outside of it is left out.
@@ -129,6 +141,70 @@ def _opened(
     span: tuple[float, float],
     gate: Gate,
 ) -> Bag:
+    chosen, seen, notes = _looked(source, map_, span)
+    place = _place(seen, map_)
+    model = _field(place, source, map_, notes)
+    norm = float(np.linalg.norm(model)) if model is not None else None
+    lla = place or _UNKNOWN_PLACE
+    track = inertial.track(seen, gravity_at(lla))
+    calibration, kept, left = _calibrated(seen, map_, chosen, calibrate, norm, track, notes)
+    axes = map_.mag_axes(chosen["mag"].body if "mag" in chosen else "FLU")
+    mag_b = (seen.mag - calibration.hard_iron) @ (axes @ calibration.soft_iron).T
+    if model is None:
+        model = survey.field_at_rest(seen, mag_b)
+        if model is not None:
+            notes.append(
+                f"no position: heading is from magnetic north, field {_vector(model * 1e6)} uT from the data"
+                if not map_.place.get("declination_deg")
+                else "no position: field from the data, declination from the map"
+            )
+            model = _turned(model, map_.place.get("declination_deg"))
+    reference = chosen.get("reference")
+    delay = survey.reference_delay(seen) if reference else None
+    assumed = checks.Assumed(
+        body=chosen["imu"].body,
+        reference=(reference.body, reference.world) if reference else None,
+        mag_axes=axes,
+        mag_b=mag_b,
+        field_n=model if place else None,
+        delay=delay or 0.0,
+    )
+    notes += [f"check: {line}" for line in [*checks.suspicions(seen, assumed, track), *checks.missing(chosen, seen)]]
+    map_ = _synchronised(delay, map_, sync, notes) if reference else map_
+    site = Site(
+        lla=lla,
+        gravity=gravity_at(lla) if place else gravity.STANDARD,
+        mag_n=_NO_FIELD if model is None else (float(model[0]), float(model[1]), float(model[2])),
+    )
+    told = {"rate": seen.rate}
+    if math.isfinite(left):
+        told["mag_bias"] = math.hypot(SensorInfo().mag_bias, left)
+    sensors = SensorInfo(**{**told, **map_.sensors})
+    components = _estimators(map_, names, chosen, str(source.path), gate)
+    metadata = {
+        "source": source.path.name,
+        **{f"topic {k}": f"{c.topic.name} {c.body} {c.world}" for k, c in chosen.items()},
+    }
+    metadata |= kept | {f"site {k}": _exact(v) for k, v in dataclasses.asdict(site).items()}
+    metadata |= {f"note {i + 1}": note for i, note in enumerate(notes)}
+    return Bag(
+        source=source,
+        site=site,
+        sensors=sensors,
+        estimators=components,
+        converter=Converter(chosen, map_, calibration, source.epoch_ns),
+        metadata=metadata,
+        notes=notes,
+        span=span,
+        seen=seen,
+        mag_b=mag_b,
+        mapping=map_,
+        has_place=place is not None,
+    )
+
+
+def _looked(source: Source, map_: Map, span: tuple[float, float]) -> tuple[dict[str, Choice], survey.Survey, list[str]]:
+    """Topics by kind, a look at all of their messages within a span (s), and what there is to say of that."""
     path = source.path
     passed: list[str] = []
     chosen = mapping.choose(source, map_, passed)
@@ -146,56 +222,7 @@ def _opened(
     notes = [*mapping.described(chosen, source.duration), *passed, *source.notes]
     if first.log_times and map_.stamps is None:
         notes.append("header stamps are of another clock: times of the log are used ([time] stamps)")
-
-    place = _place(seen, map_)
-    model = _field(place, source, map_, notes)
-    norm = float(np.linalg.norm(model)) if model is not None else None
-    calibration, kept = _calibrated(seen, map_, chosen, calibrate, norm, notes)
-    axes = map_.mag_axes(chosen["mag"].body if "mag" in chosen else "FLU")
-    mag_b = (seen.mag - calibration.hard_iron) @ (axes @ calibration.soft_iron).T
-    if model is None:
-        model = survey.field_at_rest(seen, mag_b)
-        if model is not None:
-            notes.append(
-                f"no position: heading is from magnetic north, field {_vector(model * 1e6)} uT from the data"
-                if not map_.place.get("declination_deg")
-                else "no position: field from the data, declination from the map"
-            )
-            model = _turned(model, map_.place.get("declination_deg"))
-    lla = place or _UNKNOWN_PLACE
-    reference = chosen.get("reference")
-    delay = survey.reference_delay(seen) if reference else None
-    assumed = checks.Assumed(
-        body=chosen["imu"].body,
-        reference=(reference.body, reference.world) if reference else None,
-        mag_axes=axes,
-        mag_b=mag_b,
-        field_n=model if place else None,
-        delay=delay or 0.0,
-    )
-    track = inertial.track(seen, gravity_at(lla))
-    notes += [f"check: {line}" for line in [*checks.suspicions(seen, assumed, track), *checks.missing(chosen, seen)]]
-    map_ = _synchronised(delay, map_, sync, notes) if reference else map_
-    site = Site(
-        lla=lla,
-        gravity=gravity_at(lla) if place else gravity.STANDARD,
-        mag_n=_NO_FIELD if model is None else (float(model[0]), float(model[1]), float(model[2])),
-    )
-    sensors = SensorInfo(**{"rate": seen.rate, **map_.sensors})
-    components = _estimators(map_, names, chosen, str(path), gate)
-    metadata = {"source": path.name, **{f"topic {k}": f"{c.topic.name} {c.body} {c.world}" for k, c in chosen.items()}}
-    metadata |= kept | {f"site {k}": _exact(v) for k, v in dataclasses.asdict(site).items()}
-    metadata |= {f"note {i + 1}": note for i, note in enumerate(notes)}
-    return Bag(
-        source=source,
-        site=site,
-        sensors=sensors,
-        estimators=components,
-        converter=Converter(chosen, map_, calibration, source.epoch_ns),
-        metadata=metadata,
-        notes=notes,
-        span=span,
-    )
+    return chosen, seen, notes
 
 
 def _recorded(source: Source, reference: Choice | None) -> dict[str, Choice]:
@@ -273,23 +300,23 @@ def _calibrated(
     chosen: Mapping[str, Choice],
     calibrate: Sequence[str],
     norm: float | None,
+    track: inertial.Track | None,
     notes: list[str],
-) -> tuple[Calibration, dict[str, str]]:
-    """What to take out of the sensors, and the same as texts to keep."""
-    calibration = Calibration(map_.hard_iron, map_.soft_iron, map_.gyro_bias)
-    if "mag" in calibrate:
-        axes = map_.mag_axes(chosen["mag"].body) if "mag" in chosen else np.eye(3)
-        fit = calibrating.fit_mag(seen.mag, calibrating.turns(seen, axes), norm)
-        if fit is None:
-            why = "no magnetometer" if "mag" not in chosen else "too little turning"
-            raise InputError(f"--calibrate mag: {why} in this recording; leave it out or give [magnetometer] in a map")
-        calibration = dataclasses.replace(calibration, hard_iron=fit.hard_iron, soft_iron=fit.soft_iron)
-        unit = map_.mag_unit
-        notes.append(
-            f"hard iron {_vector(fit.hard_iron * 1e6)} uT +- {_vector(fit.hard_sigma * 1e6)}; scatter of the norm "
-            f"{fit.before * 1e6:.2f} -> {fit.after * 1e6:.2f} uT"
-        )
-        notes.append(f"hard_iron = {_list(fit.hard_iron / unit)}; soft_iron = {_list(fit.soft_iron)}")
+) -> tuple[Calibration, dict[str, str], float]:
+    """What to take out of the sensors, the same as texts to keep, and the sigma (T) of hard iron left, NaN: unknown."""
+    calibration, left = Calibration(map_.hard_iron, map_.soft_iron, map_.gyro_bias), math.nan
+    if "mag" in calibrate and "mag" not in chosen:
+        raise InputError("--calibrate mag: no magnetometer in this recording; leave it out")
+    if "mag" in calibrate or ("auto" in calibrate and "mag" in chosen and not map_.has_iron):
+        trial = calibrating.try_mag(seen, map_.mag_axes(chosen["mag"].body), norm, track)
+        notes.append(f"magnetometer calibration {trial.line}")
+        left = trial.left
+        if (fit := trial.fit) is not None:
+            calibration = dataclasses.replace(calibration, hard_iron=fit.hard_iron, soft_iron=fit.soft_iron)
+            sigma = _vector(fit.hard_sigma * 1e6)
+            notes.append(f"hard iron {_vector(fit.hard_iron * 1e6)} uT +- {sigma}; lines for a map:")
+            notes.append(f"  [magnetometer]\n  hard_iron = {_list(fit.hard_iron / map_.mag_unit)}")
+            notes.append(f"  soft_iron = {_list(fit.soft_iron.round(6) + 0.0)}")
     if "gyro" in calibrate:
         found = calibrating.gyro_bias(seen)
         if found is None:
@@ -303,7 +330,7 @@ def _calibrated(
         "soft_iron": _exact(calibration.soft_iron),
         "gyro_bias_radps": _exact(calibration.gyro_bias),
     }
-    return calibration, kept
+    return calibration, kept, left
 
 
 def gravity_at(lla: tuple[float, float, float]) -> float:

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim.recordings import frames, survey
-from ahrs_sim.recordings.survey import G, Survey
+from ahrs_sim.recordings.survey import Survey
+from ahrs_sim.world.gravity import STANDARD as G
 from ahrs_sim.sensors.records import (
     AirRecord,
     FixRecord,
@@ -15,6 +16,7 @@ from ahrs_sim.sensors.records import (
     SuiteBlock,
     VelocityRecord,
 )
+from ahrs_sim.world import wgs84
 from estimators.types import blank
 
 FIELD_N = np.array([2.35e-5, 0.12e-5, 4.0e-5])
@@ -125,8 +127,11 @@ def measured(
     arm = planted.boresight @ planted.lever_b
     velocity = path.vel_n(at) + frames.rotate(path.q_nb(at), np.cross(rate_b, arm))
     velocity += noise * (rng.normal(0, 0.05, velocity.shape) + _wander(rng, tg, 0.05, 10.0))
-    moved = np.cumsum(path.vel_n(tg), axis=0) / gnss
-    north, east = moved[:, 0] / 6.37e6, moved[:, 1] / (6.37e6 * np.cos(LLA[0]))
+    fine = np.arange(-1.0, duration, 0.01)
+    way = np.cumsum(path.vel_n(fine + 0.005), axis=0) * 0.01
+    moved = np.column_stack([np.interp(at, fine + 0.01, column) for column in way.T])
+    meridian, prime = (float(r) for r in wgs84.radii(np.array(LLA[0])))
+    north, east = moved[:, 0] / meridian, moved[:, 1] / (prime * np.cos(LLA[0]))
     lla = np.column_stack([np.degrees(LLA[0] + north), np.degrees(LLA[1] + east), LLA[2] - moved[:, 2]])
     ta = np.arange(round(duration * 10)) / 10 + 0.007
     airspeed = path.air(ta - planted.air_delay)[1] / planted.air_scale + noise * rng.normal(0, 0.3, len(ta))

@@ -1,0 +1,61 @@
+"""Hard and soft iron: kept where the part not fitted to agrees, refused where there is none, sigmas that hold."""
+
+import numpy as np
+import pytest
+from bag_helpers import motion, write_bag
+from flights import FIELD_N, Path, Planted, flown
+
+from ahrs_sim.recordings import calibration, inertial
+from ahrs_sim.recordings.recording import open_bag
+from ahrs_sim.world.gravity import STANDARD as G
+
+FIELD = float(np.linalg.norm(FIELD_N))
+
+
+def tried(seed: int, hard: tuple[float, float, float]) -> calibration.Trial:
+    s = flown(Path(seed), Planted(hard_iron=np.array(hard)), seed=seed)
+    return calibration.try_mag(s, np.eye(3), FIELD, inertial.track(s, G))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_iron_is_kept_and_within_its_sigma(seed: int) -> None:
+    hard = (1e-5, 2e-5, -1e-5)
+    trial = tried(seed, hard)
+    assert trial.fit is not None
+    assert trial.line.startswith("kept: on what it was not fitted to, norm ")
+    assert np.all(np.abs(trial.fit.hard_iron - hard) < 3 * trial.fit.hard_sigma)
+    assert trial.fit.hard_sigma.max() < 1e-6
+    assert trial.left == trial.fit.hard_sigma.max()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_calibrated_magnetometer_is_left_alone(seed: int) -> None:
+    trial = tried(seed, (0.0, 0.0, 0.0))
+    assert trial.fit is None
+    assert "refused, because no iron stands out" in trial.line
+
+
+def test_an_axis_that_is_not_excited_gets_no_iron() -> None:
+    """Level circles show nothing along down."""
+    s = flown(Path(circles=True, wind_n=(0.0, 0.0)), Planted(hard_iron=np.array([8e-6, 0.0, 0.0])))
+    fit = calibration.fit_mag(s.mag, calibration.turns(s, np.eye(3)), None)
+    assert fit is None or abs(fit.hard_iron[2]) < 3 * fit.hard_sigma[2]
+
+
+def test_what_is_printed_goes_into_a_map(tmp_path, capsys) -> None:  # type: ignore[no-untyped-def]
+    import tomllib
+
+    hard = np.array([2e-5, -1e-5, 3e-5])
+    write_bag(tmp_path / "a.mcap", motion(60.0, still=5.0), hard_iron=hard)
+    with open_bag(tmp_path / "a.mcap", map_file=None, calibrate=["auto"]) as bag:
+        assert any("magnetometer calibration kept" in note for note in bag.notes)
+        start = next(i for i, note in enumerate(bag.notes) if note.endswith("lines for a map:"))
+        text = "\n".join(bag.notes[start + 1 : start + 3])
+        found = tomllib.loads(text)["magnetometer"]
+        assert found["hard_iron"] == pytest.approx(hard, abs=5e-7)
+        assert len(found["soft_iron"]) == 9
+        assert bag.sensors.mag_bias > 1e-6
+    (tmp_path / "m.toml").write_text(text)
+    with open_bag(tmp_path / "a.mcap", map_file=tmp_path / "m.toml", calibrate=["auto"]) as bag:
+        assert not any("calibration" in note for note in bag.notes)
+        assert not any(note.startswith("check") for note in bag.notes)
