@@ -209,6 +209,7 @@ def _thinned(mag: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
 
 _PART_S = 10.0
+_LEAST = 50  # readings
 _BETTER = 0.85  # share of the disagreement that may be left where a calibration is kept
 _NOT_WORSE = 1.15
 _WORDS = {"norm": "norm", "turn": "turning", "dip": "dip", "course": "course"}
@@ -242,6 +243,9 @@ def try_mag(s: Survey, axes: np.ndarray, field: float | None, track: Track | Non
     if np.linalg.norm(hard) < 1e-8 and np.abs(soft - np.eye(3)).max() < 1e-4:
         return Trial(None, f"refused, because no iron stands out of what it can tell ({1e6 * left:.1f} uT)", left)
     part = (track.windows.number if track else np.floor(s.t / _PART_S).astype(int)) % 2
+    known = np.isfinite(s.mag).all(axis=1)
+    if min(int(np.sum(known & (part == k))) for k in (0, 1)) < _LEAST:
+        return Trial(None, "refused, because the recording is too short to try it on a part of it", left)
     before: dict[str, list[float]] = {}
     after: dict[str, list[float]] = {}
     for k in (0, 1):

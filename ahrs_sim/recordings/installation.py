@@ -80,8 +80,9 @@ def find(s: Survey, mag_b: np.ndarray, mapping: Map, gravity: float, dip: float 
     made = inertial.windows(s)
     track = inertial.track(s, gravity, lever=True, made=made) if made else None
     if track is not None and track.lever_sigma.max() > SEEN_LEVER:
-        unseen, track = track, inertial.track(s, gravity, made=made)
-        track = replace(track, lever_sigma=unseen.lever_sigma) if track is not None else None
+        free, track = track, inertial.track(s, gravity, made=made, delay=track.delay)
+        if track is not None:
+            track = replace(track, lever_sigma=free.lever_sigma, delay_sigma=free.delay_sigma)
     _gnss(out, s, track, mapping)
     _magnetometer(out, s, made, mag_b, mapping, dip)
     _airspeed(out, s, track, mapping)

@@ -146,7 +146,7 @@ def _opened(
     model = _field(place, source, map_, notes)
     norm = float(np.linalg.norm(model)) if model is not None else None
     lla = place or _UNKNOWN_PLACE
-    track = inertial.track(seen, gravity_at(lla))
+    track = inertial.track(seen, gravity_at(lla), lever=True)
     calibration, kept, left = _calibrated(seen, map_, chosen, calibrate, norm, track, notes)
     axes = map_.mag_axes(chosen["mag"].body if "mag" in chosen else "FLU")
     mag_b = (seen.mag - calibration.hard_iron) @ (axes @ calibration.soft_iron).T
