@@ -7,7 +7,6 @@ import numpy as np
 
 from ahrs_sim.recordings import frames, survey
 from ahrs_sim.recordings.survey import Survey
-from ahrs_sim.world.gravity import STANDARD as G
 from ahrs_sim.sensors.records import (
     AirRecord,
     FixRecord,
@@ -17,6 +16,7 @@ from ahrs_sim.sensors.records import (
     VelocityRecord,
 )
 from ahrs_sim.world import wgs84
+from ahrs_sim.world.gravity import STANDARD as G
 from estimators.types import blank
 
 FIELD_N = np.array([2.35e-5, 0.12e-5, 4.0e-5])
