@@ -4,7 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
-from ahrs_sim.cli.common import Commands
+from ahrs_sim.cli.common import Commands, add_map
 
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
@@ -12,6 +12,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command = commands.add_parser("allan", help="Allan deviation of the inertial channels of a log")
     command.add_argument("log", type=Path)
     command.add_argument("--topic", action="append", default=[], help="an Imu topic (default: all); may be repeated")
+    add_map(command)
     command.add_argument("--plot", type=Path, metavar="PNG", help="draw the curves")
     command.add_argument("--json", action="store_true")
     return command
@@ -21,7 +22,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Print the Allan deviation of the inertial channels of a log; draw the curves when asked for."""
     from ahrs_sim.review import allan
 
-    result = allan.of_log(arguments.log, topics=arguments.topic)
+    result = allan.of_log(arguments.log, topics=arguments.topic, map_file=arguments.map)
     print(json.dumps(allan.as_json(result), indent=1) if arguments.json else allan.text(result))
     if arguments.plot:
         allan.plot(result, arguments.plot)

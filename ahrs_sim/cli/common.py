@@ -4,6 +4,7 @@ import argparse
 import datetime
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
@@ -82,6 +83,11 @@ def gate(allowed: Sequence[str], quiet: bool = False) -> "Gate":
         seen.add(line)
 
     return Gate(tuple(allowed), report)
+
+
+def add_map(command: argparse.ArgumentParser) -> None:
+    """Add `--map TOML`: what the columns of a table of text are."""
+    command.add_argument("--map", type=Path, metavar="TOML", help="what the columns of a .csv are; preset:NAME")
 
 
 def add_span(command: argparse.ArgumentParser, what: str = "") -> None:

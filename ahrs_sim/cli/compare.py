@@ -28,8 +28,12 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> None:
     """Print the accuracy of every estimator in every log; draw the report and the figures asked for."""
+    from ahrs_sim.errors import InputError
+    from ahrs_sim.recordings.sources import is_mcap
     from ahrs_sim.review import compare
 
+    if foreign := [log for log in arguments.log if not is_mcap(log)]:
+        raise InputError(f"{foreign[0]}: no log with estimates; 'ahrs-sim replay {foreign[0]}' makes and compares them")
     if arguments.png:
         from ahrs_sim.review import figures
 

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from ahrs_sim.cli.common import Commands
+from ahrs_sim.cli.common import Commands, add_map
 
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
@@ -12,6 +12,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument("log", type=Path)
     command.add_argument("--to", dest="form", choices=["parquet", "csv", "layout"], required=True)
     command.add_argument("--topic", action="append", default=[], help="only this one; may be repeated")
+    add_map(command)
     command.add_argument("-o", "--output", type=Path, metavar="DIR", help="default: beside the log")
     return command
 
@@ -25,5 +26,10 @@ def run(arguments: argparse.Namespace) -> None:
 
         print(layouts.of_log(arguments.log, arguments.output or arguments.log.with_suffix(".layout.json")))
         return
-    folder = arguments.output or arguments.log.with_suffix("")
-    print(*export(arguments.log, arguments.form, folder, arguments.topic), sep="\n")
+    folder = arguments.output or _beside(arguments.log)
+    print(*export(arguments.log, arguments.form, folder, arguments.topic, arguments.map), sep="\n")
+
+
+def _beside(log: Path) -> Path:
+    """A folder named like the log; for a folder, one beside it."""
+    return log.with_name(f"{log.name}_tables") if log.is_dir() else log.with_suffix("")

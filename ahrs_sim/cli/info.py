@@ -4,13 +4,14 @@ import argparse
 import json
 from pathlib import Path
 
-from ahrs_sim.cli.common import Commands
+from ahrs_sim.cli.common import Commands, add_map
 
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
     command = commands.add_parser("info", help="what is in a log")
     command.add_argument("log", type=Path)
+    add_map(command)
     command.add_argument("--json", action="store_true")
     return command
 
@@ -18,5 +19,9 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
 def run(arguments: argparse.Namespace) -> None:
     """Print what is in a log."""
     from ahrs_sim.log import info
+    from ahrs_sim.recordings.as_log import open_log
+    from ahrs_sim.recordings.sources import is_mcap
 
-    print(json.dumps(info.summary(arguments.log), indent=1) if arguments.json else info.text(arguments.log))
+    log = arguments.log if is_mcap(arguments.log) else open_log(arguments.log, arguments.map)
+    notes = getattr(log, "notes", [])
+    print(json.dumps(info.summary(log), indent=1) if arguments.json else "\n".join([info.text(log), *notes]))

@@ -7,13 +7,16 @@ from typing import Any
 from ahrs_sim.log.mcap.reader import LogReader
 
 
-def summary(path: str | Path) -> dict[str, Any]:
+def summary(source: str | Path | Any) -> dict[str, Any]:
     """The contents of a log, fit for JSON: times in ns since 1970, rates in Hz, the size in bytes.
+
+    Args:
+        source: path of an MCAP file, or anything open with the properties of a `LogReader`, which is closed.
 
     Raises:
         InputError: the file is not a log, or not a whole one.
     """
-    with LogReader(path) as log:
+    with LogReader(source) if isinstance(source, (str, Path)) else source as log:
         first, last = log.time_range_ns
         duration = (last - first) / 1e9
         topics = [
@@ -28,7 +31,7 @@ def summary(path: str | Path) -> dict[str, Any]:
             for t in log.topics.values()
         ]
         return {
-            "path": str(path),
+            "path": str(log.path),
             "size": log.size,
             "profile": log.profile,
             "library": log.library,
@@ -42,13 +45,13 @@ def summary(path: str | Path) -> dict[str, Any]:
         }
 
 
-def text(path: str | Path) -> str:
+def text(source: str | Path | Any) -> str:
     """The same for a person.
 
     Raises:
         InputError: the file is not a log, or not a whole one.
     """
-    s = summary(path)
+    s = summary(source)
     start = datetime.datetime.fromtimestamp(s["start_ns"] // 10**9, datetime.UTC)
     profile, library = (_one_line(s[key]) or "-" for key in ("profile", "library"))
     lines = [
@@ -76,7 +79,10 @@ def text(path: str | Path) -> str:
         sizes = (f"  {_one_line(name)}, {size} bytes" for name, size in s["attachments"].items())
         lines += ["", "attachments:", *sizes]
     if any((t["encoding"], t["schema_encoding"]) != ("cdr", "ros2msg") for t in s["topics"]):
-        lines += ["", "in brackets: what is not ROS 2 ('cdr' with 'ros2msg') can be listed and carried along, not read"]
+        lines += [
+            "",
+            "in brackets: not ROS 2 ('cdr' with 'ros2msg'); but for standard types it is carried along, not read",
+        ]
     return "\n".join(lines)
 
 

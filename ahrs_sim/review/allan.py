@@ -23,9 +23,13 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim.errors import InputError
+from ahrs_sim.log.mcap.reader import stamps
 from ahrs_sim.sensors.grade import parse
 from ahrs_sim.sensors.suite import SECTIONS
 from ahrs_sim.world import gravity
+
+_OTHER_CLOCK_NS, _STEP_NS = 10 * 10**9, 10**9
+"""As in a replay: stamps this far from the log's times are of another clock; one this far back is no late message."""
 
 _MODEL_ERROR = 0.02
 """Relative error that no point of the fit is thought to be better than: real noise is not quite one of three kinds."""
@@ -216,6 +220,7 @@ class Channel:
     sensor: str  # gyro, accelerometer or magnetometer
     table: AllanTable
     specified: dict[str, np.ndarray] | None  # what the grade says, for logs of ours
+    left_out: str = ""  # what of the series is not in the table, and why
 
 
 _SENSORS = {
@@ -232,64 +237,167 @@ _SHOWN = {
 """Unit in tables of numbers, factor and unit in what people read."""
 
 
-def of_log(path: Path, topics: Sequence[str] = ()) -> list[Channel]:
-    """Allan tables of the sensors in a log of ours or any ROS 2 bag.
+def of_log(path: Path, topics: Sequence[str] = (), map_file: Path | None = None) -> list[Channel]:
+    """Allan tables of the sensors in a log of ours or any recording.
 
-    The sensors should have stood still: a flight's own motion is not noise. Of a series with gaps, the longest stretch
-    without is taken.
+    The sensors should have stood still: a flight's own motion is not noise. Of a series with gaps or steps of its
+    clock, the longest stretch without is taken; what was left out is in the channel.
 
     Args:
         path: the log.
         topics: `Imu` or `MagneticField` topics; none: all `Imu` topics but the truth's and the estimators'.
+        map_file: what the columns of a table of text are.
 
     Raises:
         InputError: no such log or topic, a topic of another type, or too few samples.
     """
-    from ahrs_sim.log.mcap.reader import LogReader
+    from ahrs_sim.recordings.as_log import open_log
 
-    channels = []
-    with LogReader(path) as log:
-        if not topics:
+    channels: list[Channel] = []
+    with open_log(path, map_file) as log:
+        named = bool(topics)
+        if not named:
             imus = [name for name, info in log.topics.items() if info.type_name == "sensor_msgs/msg/Imu"]
             topics = [t for t in imus if not t.startswith(("/est/", "/truth/"))]
         if not topics:
             raise InputError(f"{path}: no Imu topic; name one with --topic")
         for topic in topics:
+            kind = log.topics[topic].type_name if topic in log.topics else ""
             array = log.read(topic)
-            fields = _SENSORS.get(log.topics[topic].type_name)
+            fields = _SENSORS.get(kind)
             if fields is None:
-                raise InputError(
-                    f"{path}: {topic}: is a {log.topics[topic].type_name}; give an Imu or MagneticField topic"
-                )
-            stamp = array["header"]["stamp"]
-            t = stamp["sec"] + 1e-9 * stamp["nanosec"]
-            said = log.metadata.get(f"suite {topic.split('/')[1]}")
+                raise InputError(f"{path}: {topic}: is a {kind}; give an Imu or MagneticField topic")
+            said = log.metadata.get(f"suite {topic.split('/')[1]}") if "/" in topic else None
             for field, sensor in fields.items():
                 values = np.column_stack([array[field][axis] for axis in "xyz"])
-                rows, rate = _longest(t, values, f"{path}: {topic}")
-                table = allan_table(values[rows], rate, unit=_SHOWN[sensor][0])
-                channels.append(Channel(topic, sensor, table, specified(said, sensor) if said else None))
+                values = values[array[f"{field}_covariance"][:, 0] != -1.0]
+                if len(array) and not (values != values[:1]).any():  # not there, or a placeholder
+                    continue
+                found = evenly(stamps(array), array["log_time"], _known(array, field), f"{path}: {topic}")
+                table = allan_table(found.values, found.rate, unit=_SHOWN[sensor][0])
+                grade = specified(said, sensor) if said else None
+                channels.append(Channel(topic, sensor, table, grade, found.left_out))
+    if not channels:
+        raise InputError(f"{path}: {', '.join(topics)}: no values that change; there is no noise to analyse")
     return channels
 
 
-def _longest(t: np.ndarray, values: np.ndarray, where: str) -> tuple[slice, float]:
-    """The longest stretch of samples (n, 3) at `t` (n,) without gaps or missing values, and its mean rate."""
-    if len(t) < 20:
-        raise InputError(f"{where}: {len(t)} samples are too few; give at least 20")
-    breaks = np.diff(t) > 1.5 * np.median(np.diff(t))
-    good = np.isfinite(values).all(axis=1)
-    edges = np.flatnonzero(breaks | ~good[1:] | ~good[:-1]) + 1
-    starts, ends = np.r_[0, edges], np.r_[edges, len(t)]
-    k = int(np.argmax(ends - starts))
-    first, last = int(starts[k]), int(ends[k])
-    if last - first < 20 or t[last - 1] <= t[first]:
-        raise InputError(f"{where}: no stretch of 20 samples without gaps; the Allan deviation needs even samples")
-    return slice(first, last), (last - first - 1) / float(t[last - 1] - t[first])
+def _known(array: np.ndarray, field: str) -> np.ndarray:
+    """Values (n, 3) of a vector field, NaN where a message says that it has none."""
+    values = np.column_stack([array[field][axis] for axis in "xyz"])
+    values[array[f"{field}_covariance"][:, 0] == -1.0] = np.nan
+    return values
+
+
+@dataclass(frozen=True)
+class Even:
+    """The longest stretch of evenly sampled values."""
+
+    values: np.ndarray  # (m, 3)
+    rate: float  # Hz
+    left_out: str  # what is not in it, and why; empty: nothing
+
+
+def evenly(header_ns: np.ndarray, log_ns: np.ndarray, values: np.ndarray, where: str) -> Even:
+    """The longest stretch without gaps, missing values and steps of the clock.
+
+    Samples that came late are put in their place, and repeated ones counted once; stamps of another clock than the
+    log's are replaced by its times, as in a replay. Coarse stamps and bursts are no gaps: those are found where the
+    stamps go ahead of an even count by half a sample and stay there.
+
+    Args:
+        header_ns: (n,) int64, stamps.
+        log_ns: (n,) int64, when the samples were recorded.
+        values: (n, 3).
+        where: of what, for messages.
+
+    Raises:
+        InputError: no stretch of 20 samples.
+    """
+    told = []
+    t = header_ns
+    if len(t) and abs(float(np.median(header_ns - log_ns))) > _OTHER_CLOCK_NS:
+        t = log_ns
+        told.append("stamps are of another clock, times of the log are used")
+    known = np.isfinite(values).all(axis=1)
+    if not known.all():
+        told.append(f"{int((~known).sum())} samples without values")
+    back = np.flatnonzero(np.diff(t) < -_STEP_NS) + 1
+    if len(back):
+        told.append(f"the clock steps back {len(back)} times, first by {(t[back[0] - 1] - t[back[0]]) / 1e9:.6g} s")
+    best, rate = np.empty(0, np.int64), math.nan
+    counts = np.zeros(4, int)  # late, repeated, gaps, lost
+    for part in np.split(np.arange(len(t)), back):
+        stretches, found = _stretches(t, values, part, known)
+        counts += found
+        longest, its_rate = max(stretches, key=lambda s: len(s[0]), default=(best, rate))
+        if len(longest) > len(best):
+            best, rate = longest, its_rate
+    for count, text in zip(counts, ("came late", "came twice", "gaps", "samples lost in them"), strict=True):
+        if count:
+            told.append(f"{count} {text}")
+    if len(best) < 20:
+        why = f" ({', '.join(told)})" if told else ""
+        raise InputError(
+            f"{where}: of {len(t)} samples no stretch of 20 without gaps{why}; the Allan deviation needs even samples"
+        )
+    if len(best) < len(t):
+        told.append(f"the longest even stretch is {len(best)} of {len(t)} samples")
+    return Even(values[best], rate, ", ".join(told))
+
+
+def _stretches(
+    t: np.ndarray, values: np.ndarray, part: np.ndarray, known: np.ndarray
+) -> tuple[list[tuple[np.ndarray, float]], np.ndarray]:
+    """Rows and rate of each even stretch of one part of a series; how many were late, repeated, gaps, lost."""
+    if len(part) < 2:
+        return [], np.zeros(4, int)
+    late = int(np.sum(np.diff(t[part]) < 0))
+    rows = part[np.argsort(t[part], kind="stable")]
+    same = np.r_[False, (np.diff(t[rows]) == 0) & (np.diff(values[rows], axis=0) == 0).all(axis=1)]
+    rows = rows[~same]
+    if len(rows) < 2 or t[rows[-1]] == t[rows[0]]:
+        return [], np.array([late, int(same.sum()), 0, 0])
+    s = (t[rows] - t[rows[0]]).astype(float)
+    k = min(50, len(s) - 1)
+    period = float(np.median((s[k:] - s[:-k]) / k)) or (s[-1] / (len(s) - 1))
+    breaks = _gaps(s / period)
+    lost = int(np.sum(np.maximum(np.rint(np.diff(s)[breaks - 1] / period) - 1, 0)))
+    edges = np.union1d(breaks, np.flatnonzero(known[rows][1:] != known[rows][:-1]) + 1)
+    found = []
+    for stretch in np.split(rows, edges):
+        if len(stretch) > 1 and known[stretch[0]] and t[stretch[-1]] > t[stretch[0]]:
+            found.append((stretch, (len(stretch) - 1) * 1e9 / float(t[stretch[-1]] - t[stretch[0]])))
+    return found, np.array([late, int(same.sum()), len(breaks), lost])
+
+
+def _gaps(s: np.ndarray) -> np.ndarray:
+    """Samples before which some are missing, from the stamps (n,) in periods."""
+    steps = np.diff(s)
+    burst = max(1, round(len(s) / (1 + int(np.sum(steps > 0.5)))))  # samples that come together
+    jitter = 1.05 * float(np.median(np.abs(steps - 1.0))) if burst == 1 else 0.0
+    half = min(max(4 if burst == 1 else 2 * burst, math.ceil(400.0 * jitter**2)), 200)  # medians good to a tenth
+    if len(s) < 2 * half + 2:
+        return np.flatnonzero(steps > 1.5 * burst) + 1
+    ahead = s - np.arange(len(s))
+    medians = np.median(np.lib.stride_tricks.sliding_window_view(ahead, half), axis=1)
+    jump = medians[half:] - medians[:-half]  # between samples i + half - 1 and i + half
+    candidates = np.flatnonzero(jump > max(0.5, 0.35 * burst)) + half
+    found = []
+    for group in np.split(candidates, np.flatnonzero(np.diff(candidates) > 1) + 1):
+        if len(group):
+            widest = group[np.argmax(steps[group - 1])]
+            found.append(int(widest))
+    # near the ends there is no median on one side
+    ends = np.r_[np.arange(1, half), np.arange(len(s) - half + 1, len(s))]
+    found += ends[steps[ends - 1] > 1.5 * burst + 6.0 * jitter].tolist()
+    return np.unique(np.array(found, np.int64))
 
 
 def as_json(channels: Sequence[Channel]) -> list[dict[str, Any]]:
     """The tables in types that JSON knows, SI."""
-    return [{"topic": c.topic, "sensor": c.sensor, **c.table.json(c.specified)} for c in channels]
+    named = ({"topic": c.topic, "sensor": c.sensor, "left_out": c.left_out} for c in channels)
+    return [{**name, **c.table.json(c.specified)} for name, c in zip(named, channels, strict=True)]
 
 
 def text(channels: Sequence[Channel]) -> str:
@@ -304,6 +412,8 @@ def text(channels: Sequence[Channel]) -> str:
             "walk": (factor, f"{unit}/sqrt(s)", "rate random walk"),
         }
         lines.append(f"{c.topic} {c.sensor}: {c.table.rate:.6g} Hz, {c.table.duration:.6g} s")
+        if c.left_out:
+            lines.append(f"  {c.left_out}")
         for row in c.table.rows(c.specified):
             scale, name, meaning = shown[row["coefficient"]]
             said = f"   specified {row['specified'] * scale:8.4g}" if "specified" in row else ""

@@ -23,6 +23,8 @@ from ahrs_sim.log.mcap.reader import LogReader, flatten, is_stamped, stamps
 if TYPE_CHECKING:
     import pandas
 
+    from ahrs_sim.recordings.as_log import RecordingLog
+
 _UNITS: dict[str, dict[str, str]] = {
     "sensor_msgs/msg/Imu": {
         "angular_velocity": "rad/s",
@@ -50,7 +52,7 @@ _UNIT = re.compile(r"^(rad/s2|rad/s|rad2|rad|m/s2|m/s|m|Pa|K|T|deg|1/min|0\.\.1)
 _MIXED = {"lla": ("rad", "rad", "m")}
 
 
-def units(log: LogReader, topic: str) -> dict[str, str]:
+def units(log: "LogReader | RecordingLog", topic: str) -> dict[str, str]:
     """Unit by column of a topic's table; columns without or with an unknown unit are not there.
 
     Raises:
@@ -83,7 +85,7 @@ def _columns(array: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
             yield name, values
 
 
-def _seconds(log: LogReader, array: np.ndarray) -> np.ndarray:
+def _seconds(log: "LogReader | RecordingLog", array: np.ndarray) -> np.ndarray:
     ns = stamps(array) if is_stamped(array.dtype) else array["log_time"]
     return (ns - log.epoch_ns) / 1e9
 
@@ -204,14 +206,15 @@ def _angles(q_nb: np.ndarray) -> dict[str, np.ndarray]:
     return {"roll": roll, "pitch": pitch, "heading": np.mod(heading, 360.0)}
 
 
-def export(path: Path, form: str, folder: Path, topics: Sequence[str] = ()) -> list[Path]:
+def export(path: Path, form: str, folder: Path, topics: Sequence[str] = (), map_file: Path | None = None) -> list[Path]:
     """Write topics as tables, in memory that does not grow with the log.
 
     Args:
-        path: any log that can be read.
+        path: any recording that can be read.
         form: `parquet` (units in the metadata of the columns) or `csv`.
         folder: made when it is not there; files are named like the topics, `chr_imu_data_raw.csv`.
         topics: which; none: all that have columns and messages.
+        map_file: what the columns of a table of text are.
 
     Returns:
         The files written.
@@ -220,7 +223,9 @@ def export(path: Path, form: str, folder: Path, topics: Sequence[str] = ()) -> l
         InputError: not a log, an unknown topic, nothing to write, pyarrow missing, or a folder that cannot be used.
     """
     table: type[_CsvTable] | type[_ParquetTable] = _ParquetTable if form == "parquet" else _CsvTable
-    with LogReader(path) as log, ExitStack() as stack:
+    from ahrs_sim.recordings.as_log import open_log
+
+    with open_log(path, map_file) as log, ExitStack() as stack:
         chosen = list(topics) or [t.topic for t in log.topics.values() if t.count and t.readable]
         tables: dict[str, _CsvTable | _ParquetTable] = {}
         try:
@@ -253,7 +258,7 @@ def _plain_cells(values: np.ndarray) -> np.ndarray:
 class _CsvTable:
     """A topic as comma-separated values."""
 
-    def __init__(self, log: LogReader, topic: str, output: Path) -> None:
+    def __init__(self, log: "LogReader | RecordingLog", topic: str, output: Path) -> None:
         del log, topic  # no place for units
         self.output = output
         self.stream = output.open("w", encoding="utf-8", newline="")
@@ -274,7 +279,7 @@ class _CsvTable:
 class _ParquetTable:
     """A topic in Parquet, the unit of a column in its metadata."""
 
-    def __init__(self, log: LogReader, topic: str, output: Path) -> None:
+    def __init__(self, log: "LogReader | RecordingLog", topic: str, output: Path) -> None:
         try:
             import pyarrow
             from pyarrow import parquet

@@ -42,8 +42,9 @@ def test_specified_and_recovered_side_by_side(log: Path) -> None:
     np.testing.assert_allclose(gyro.specified["floor"], np.radians(20.0 / 3600.0))
     np.testing.assert_allclose(gyro.table.density.value, np.radians(0.05), rtol=0.08)
     lines = allan.text(channels).splitlines()
-    assert len(lines) == 2 * 10
-    assert "specified     0.05" in lines[1]
+    assert len(lines) == 2 * 11
+    assert "1 gaps" in lines[1]
+    assert "specified     0.05" in lines[2]
     rows = json.loads(json.dumps(allan.as_json(channels)))
     assert rows[0]["coefficients"][0]["specified"] == pytest.approx(np.radians(0.05))
 
