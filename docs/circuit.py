@@ -19,28 +19,17 @@ from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.review import compare
 
 HERE = Path(__file__).parent
-PRACTICAL = {
-    "ckf-air-chr": {"method": "marg-ckf", "suite": "chr", "aiding": "airspeed"},
-    "air-ins-chr": {"method": "air-ins", "suite": "chr", "heading_aid": False},
-    "air-ins-2ant-chr": {"method": "air-ins", "suite": "chr", "heading_aid": True},
-    "ins21-chr": {"method": "ins21", "suite": "chr", "heading_aid": False},
-    "ins21-2ant-chr": {"method": "ins21", "suite": "chr", "heading_aid": True},
-    "ins21-sbg": {"method": "ins21", "suite": "sbg", "heading_aid": False},
-    "ins21-2ant-sbg": {"method": "ins21", "suite": "sbg", "heading_aid": True},
+TWO_ANTENNAS = {
+    f"{name}-2ant": {"method": name.partition("-chr")[0].partition("-sbg")[0], "suite": name[-3:], "heading_aid": True}
+    for name in ("air-ins-chr", "ins21-chr", "ins21-sbg")
 }
-TOLD = {  # what it is, what it uses besides gyro and accelerometer
-    "ekf-chr": ("EKF of the paper", "magnetometer"),
-    "ckf-chr": ("CKF of the paper", "magnetometer"),
-    "cdkf-chr": ("CDKF of the paper", "magnetometer"),
-    "ekf-sbg": ("EKF of the paper, better unit", "magnetometer"),
-    "ckf-air-chr": ("CKF, airspeed aided", "magnetometer, airspeed"),
-    "air-ins-chr": ("inertial navigator", "magnetometer, airspeed"),
-    "air-ins-2ant-chr": ("the same", "and heading of two GNSS antennas"),
-    "ins21-chr": ("inertial navigator", "magnetometer, GNSS"),
-    "ins21-2ant-chr": ("the same", "and heading of two antennas"),
-    "ins21-sbg": ("inertial navigator, better unit", "magnetometer, GNSS"),
-    "ins21-2ant-sbg": ("the same", "and heading of two antennas"),
-}
+ROWS = (  # what each row is, and what it uses besides gyro and accelerometer
+    ("ins21-*", "inertial navigator with GNSS velocity and position, magnetometer"),
+    ("air-ins-chr", "inertial navigator with airspeed and magnetometer, no GNSS"),
+    ("ckf-air-chr", "cubature Kalman filter with airspeed and magnetometer, no GNSS"),
+    ("ekf-*, ckf-*, cdkf-*", "the filters of a paper, with magnetometer, as it has them"),
+    ("*-chr, *-sbg", "on the low-cost unit, on the better one"),
+)
 CONDITIONS = (
     "One flight of scenario `circuit` (seed 1): CHR-6dm and SBG IG-500 grades with every error of their data sheets, "
     "electric motor's vibration, wind 4 m/s with the gusts that MIL-F-8785C gives it at that height; from the first "
@@ -52,30 +41,27 @@ SHOWN = {"ckf-chr": "CKF of the paper", "ckf-air-chr": "CKF, airspeed aided", "i
 def main() -> None:
     """Renew both."""
     plain = scenario.load("circuit")
-    data = plain.data | {"estimator": plain.data["estimator"] | PRACTICAL}
+    data = plain.data | {"estimator": plain.data["estimator"] | TWO_ANTENNAS}
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "circuit.mcap"
         pipeline.fly(scenario.parse(data, "circuit", "circuit"), log)
-        table(compare.compare(log)["estimators"])
+        table(compare.compare(log))
         picture(log)
 
 
-def table(estimators: dict) -> None:
-    """The README's table between its two marks."""
-    phases = ["ground", "straight", "turning"]
-    rows = [
-        "| | | besides gyro and accelerometer | " + " | ".join(phases) + " | whole flight |",
-        "|---|---|---|" + "---|" * 4,
-    ]
-    for name, values in estimators.items():
-        cells = [values["phases"][p] for p in phases] + [values]
-        numbers = " | ".join(f"{c['tilt_rmse_deg']:.2f} / {c['heading_rmse_deg']:.2f}" for c in cells)
-        rows.append(f"| `{name}` | {' | '.join(TOLD[name])} | {numbers} |")
-    rows += ["", CONDITIONS]
+def table(result: dict) -> None:
+    """Put what `make fly` prints, and the rows with two antennas, between the README's two marks."""
+    rows = result["estimators"]
+    shown = result | {"estimators": {name: v for name, v in rows.items() if name not in TWO_ANTENNAS}}
+    antennas = result | {"estimators": {name: rows[name] for name in TWO_ANTENNAS}}
+    parts = ["```text", compare.table(shown), "```", "", "| | |", "|---|---|"]
+    parts += [f"| `{name}` | {text} |" for name, text in ROWS]
+    parts += ["", CONDITIONS, "", "With the heading of two GNSS antennas besides (`heading_aid = true`):", ""]
+    parts += ["```text", *compare.table(antennas).splitlines()[1:], "```"]
     readme = HERE.parent / "README.md"
     text = re.sub(
         r"(<!-- circuit: begin -->\n).*?(<!-- circuit: end -->)",
-        lambda m: m[1] + "\n".join(rows) + "\n" + m[2],
+        lambda m: m[1] + "\n".join(parts) + "\n" + m[2],
         readme.read_text(),
         flags=re.DOTALL,
     )

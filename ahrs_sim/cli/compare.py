@@ -18,6 +18,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument("--sync", action="store_true", help="take out a constant delay first")
     add_span(command)
     command.add_argument("--lag", action="store_true", help="how late every attitude and its rate are, ms")
+    command.add_argument("--all", action="store_true", help="print 95th percentiles and maxima of every angle, too")
     command.add_argument("--report", type=Path, metavar="HTML", help="one page with all plots, to open in a browser")
     command.add_argument("--png", type=Path, metavar="DIR", help="the main figures")
     form = command.add_mutually_exclusive_group()
@@ -40,7 +41,7 @@ def run(arguments: argparse.Namespace) -> None:
         figures.require()  # before anything is computed
     span = {"reference": arguments.reference, "start": arguments.start, "end": arguments.end}
     results = [compare.compare(log, **span, align=arguments.align, sync=arguments.sync) for log in arguments.log]
-    texts = [compare.table(result) for result in results]
+    texts = [compare.table(result, details=arguments.all) for result in results]
     if arguments.lag:
         from ahrs_sim.review import lag
 

@@ -43,6 +43,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument(
         "--ros-axes", action="store_true", help="IMU topics a second time behind /ros, in ENU and FLU (REP-103)"
     )
+    command.add_argument("--all", action="store_true", help="print 95th percentiles and maxima of every angle, too")
     command.add_argument("--json", action="store_true", help="print the accuracy as JSON")
     command.add_argument("--quiet", action="store_true", help="print nothing but errors")
     add_live(command)
@@ -99,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.json:
             print(json.dumps(result, indent=1))
         else:
-            print(*([compare.table(result)] if scenario.estimators else []), output, sep="\n")
+            print(*([compare.table(result, details=arguments.all)] if scenario.estimators else []), output, sep="\n")
     if failure:
         raise failure
     return 130 if stop else 0

@@ -52,6 +52,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
         help="only look how the sensors are installed: delays, lever arm, boresight, scale",
     )
     command.add_argument("--force", action="store_true", help="replace an existing log")
+    command.add_argument("--all", action="store_true", help="print 95th percentiles and maxima of every angle, too")
     command.add_argument("--json", action="store_true", help="print the accuracy as JSON")
     add_live(command)
     return command
@@ -105,7 +106,7 @@ def run(arguments: argparse.Namespace) -> None:
     from ahrs_sim.review import compare
 
     result["log"] = str(arguments.output or arguments.log)
-    print(json.dumps(result, indent=1) if arguments.json else compare.table(result))
+    print(json.dumps(result, indent=1) if arguments.json else compare.table(result, details=arguments.all))
     if arguments.output and not arguments.json:
         print(arguments.output)
     if failure:
@@ -144,5 +145,5 @@ def _evaluate_only(arguments: argparse.Namespace) -> bool:
     from ahrs_sim.review import compare
 
     Progress.clear()
-    print(json.dumps(result, indent=1) if arguments.json else compare.table(result))
+    print(json.dumps(result, indent=1) if arguments.json else compare.table(result, details=arguments.all))
     return True

@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim.evaluation import consistency, metrics, phases
-from ahrs_sim.evaluation.decimate import Decimator
+from ahrs_sim.evaluation.decimate import Decimator, take
 from ahrs_sim.evaluation.evaluator import Comparison, Evaluator
 from ahrs_sim.evaluation.metrics import History, Measure
 from ahrs_sim.evaluation.phases import PHASE_RATE, PHASES
 from estimators.types import Estimates
+
+NEES_RATE = 10.0
+"""Hz at which the consistency of every estimator is watched: neighbouring errors are nearly the same."""
 
 LATE_S = 2.0
 """s that an estimate may come after the truth of its instant: sensors deliver late."""
@@ -39,6 +42,8 @@ class Accuracy:
         self._evaluator = Evaluator(self._keep, against=against, keep_s=LATE_S)
         self._coarse: list[tuple[np.ndarray, ...]] = []  # truth for the phases
         self._decimator = Decimator(PHASE_RATE)
+        self._thinned = {name: Decimator(NEES_RATE) for name in self._parts}
+        self._nees: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {name: [] for name in self._parts}
         self._times = np.empty(0)
 
     def add_truth(self, t: np.ndarray, q_nb: np.ndarray, vel_n: np.ndarray, on_ground: np.ndarray) -> None:
@@ -58,6 +63,9 @@ class Accuracy:
     def _keep(self, name: str, pair: Comparison) -> None:
         t = pair.estimates.t
         errors = pair.errors().astype(np.float32)
+        rows = self._thinned[name].rows(t)
+        thin = Comparison(take(pair.estimates, rows), pair.reference[rows])
+        self._nees[name].append((t[rows], thin.nees().astype(np.float32)))
         columns = np.empty((len(t), 0), np.float32)
         if self._with_consistency:
             columns = np.column_stack([pair.nees(), *pair.nis()]).astype(np.float32)
@@ -82,7 +90,7 @@ class Accuracy:
         Args:
             reference: what the errors are taken against, for the result.
             low, high: s of flight.
-            band_s: also the RMSE of every so many seconds, and mean NEES and NIS.
+            band_s: also the RMSE of every so many seconds, and mean NIS.
 
         Returns:
             What `review.compare.compare` returns, but for the name of the log.
@@ -96,6 +104,7 @@ class Accuracy:
         for name, parts in self._parts.items():
             t, errors, columns = _within(parts, low, high)
             found[name] = summary(errors, phases.at(t_phase, phase, t))
+            found[name] |= _finite({"nees": _mean_nees(self._nees[name], low, high)})
             if band_s is not None:
                 found[name] |= _details(t, errors, np.concatenate([np.empty((0, 3)), *columns]), band_s)
         return {
@@ -104,6 +113,13 @@ class Accuracy:
             "to_s": min(high, last),
             "estimators": found,
         }
+
+
+def _mean_nees(parts: list[tuple[np.ndarray, np.ndarray]], low: float, high: float) -> float:
+    """Average the NEES per degree of freedom over a span; NaN when none is known."""
+    t, nees = (np.concatenate(column) for column in zip((np.empty(0), np.empty(0)), *parts, strict=True))
+    known = nees[(t >= low) & (t <= high) & np.isfinite(nees)]
+    return float(np.mean(known, dtype=float)) if len(known) else math.nan
 
 
 Parts = Sequence[np.ndarray]
@@ -168,7 +184,7 @@ def _details(t: np.ndarray, errors: Parts, columns: np.ndarray, band_s: float) -
         count = np.bincount(number[finite])
         total = np.bincount(number[finite], squares[finite])
         bands[metrics.MEASURES[measure]] = [math.sqrt(x / n) if n else None for x, n in zip(total, count, strict=True)]
-    return {**_finite({key: consistent[key] for key in ("nees", "nis")}), "bands": bands}
+    return {**_finite({key: consistent[key] for key in ("nis",)}), "bands": bands}
 
 
 def _finite(values: dict[str, float]) -> dict[str, float | None]:

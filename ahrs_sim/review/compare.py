@@ -97,7 +97,7 @@ def read_into(accuracy: Accuracy, log: FlightReader, names: Iterable[str], *, wi
     needed = TRUTH_TOPICS if TRUTH_TOPIC in log.topics else ()
     if missing := [topic for topic in needed if topic not in log.topics]:
         raise InputError(f"{log.path}: no {missing[0]} in it: there is nothing to compare with")
-    columns = {"q_nb", "down_b", *(("att_cov", "innovation", "innovation_var") if with_consistency else ())}
+    columns = {"q_nb", "down_b", "att_cov", *(("innovation", "innovation_var") if with_consistency else ())}
     for block in log.blocks([*needed, *topics]):
         if needed:
             read_truth_into(accuracy, log, block)
@@ -220,33 +220,45 @@ def _known_attitudes(log: FlightReader, topic: str) -> tuple[np.ndarray, np.ndar
     return t[known], q_nb[known]
 
 
-def table(result: dict[str, Any]) -> str:
-    """The result for a reader: one line an estimator, then tilt and heading by phase."""
+def table(result: dict[str, Any], *, details: bool = False) -> str:
+    """Format the result for a reader: tilt and heading by phase, best tilt first; `details` adds every measure."""
     out = io.StringIO()
     against = "the truth" if result["reference"] == "truth" else result["reference"]
-    print(f"errors against {against}, {result['from_s']:.0f} to {result['to_s']:.0f} s, deg", file=out)
-    width = max(12, *(len(n) + 2 for n in result["estimators"]))
-    partial = any(values["availability"] < FULL for values in result["estimators"].values())
-    heads = "".join(f"{m:>19s}" for m in metrics.MEASURES)
-    under = "rmse   p95   max".rjust(19) * len(metrics.MEASURES) + "   available" * partial
-    print(f"{'':{width}s}{heads}\n{'':{width}s}{under}", file=out)
-    for name, values in result["estimators"].items():
-        cells = [[values[f"{m}_{s}_deg"] for s in ("rmse", "p95", "max")] for m in metrics.MEASURES]
-        share = f"{100.0 * values['availability']:10.1f} %" if partial else ""
-        print(f"{name:{width}s}" + "".join(" " + "".join(_cell(v) for v in c) for c in cells) + share, file=out)
-    for name, values in result["estimators"].items():
+    rows = dict(sorted(result["estimators"].items(), key=lambda item: item[1]["tilt_rmse_deg"] or math.inf))
+    width = max(10, *(len(n) for n in rows))
+    phases = [p for p in PHASES[:3] if any(p in v["phases"] for v in rows.values())]
+    partial = any(values["availability"] < FULL for values in rows.values())
+    print(
+        f"RMS error against {against}, {result['from_s']:.0f} to {result['to_s']:.0f} s, deg: tilt / heading", file=out
+    )
+    heads = "".join(f"{p:>13s}" for p in [*phases, "whole flight"])
+    print(f"{'':{width}s}{heads}   NEES" + "    avail" * partial, file=out)
+    for name, values in rows.items():
+        cells = "".join(_pair(values["phases"].get(p, {})) for p in phases) + _pair(values)
+        share = f"{100.0 * values['availability']:8.1f}%" if partial else ""
+        print(f"{name:{width}s}{cells}{_cell(values.get('nees'), 7)}{share}", file=out)
+    for name, values in rows.items():
         if removed := _removed(values):
             print(f"{name:{width}s} {removed}", file=out)
-    phases = [p for p in PHASES if any(p in v["phases"] for v in result["estimators"].values())]
-    if not phases:
-        return out.getvalue().rstrip()
-    print(f"\n{'by phase, rmse':{width}s}" + "".join(f"{p:>16s}" for p in phases), file=out)
-    print(f"{'':{width}s}" + "    tilt heading" * len(phases), file=out)
-    for name, values in result["estimators"].items():
-        row = [values["phases"].get(p, {}) for p in phases]
-        cells2 = "".join(f"{_cell(r.get('tilt_rmse_deg'), 8)}{_cell(r.get('heading_rmse_deg'), 8)}" for r in row)
-        print(f"{name:{width}s}{cells2}", file=out)
+    if details:
+        print(file=out)
+        _details(rows, width, out)
     return out.getvalue().rstrip()
+
+
+def _details(rows: Mapping[str, Any], width: int, out: io.StringIO) -> None:
+    """Print RMS, 95th percentile and maximum of every measure over the whole flight."""
+    print(f"{'':{width}s}" + "".join(f"{m:>19s}" for m in metrics.MEASURES), file=out)
+    print(f"{'':{width}s}" + "rmse   p95   max".rjust(19) * len(metrics.MEASURES), file=out)
+    for name, values in rows.items():
+        cells = [[values[f"{m}_{s}_deg"] for s in ("rmse", "p95", "max")] for m in metrics.MEASURES]
+        print(f"{name:{width}s}" + "".join(" " + "".join(_cell(v) for v in c) for c in cells), file=out)
+
+
+def _pair(values: Mapping[str, Any]) -> str:
+    """Tilt and heading of a phase, in thirteen places."""
+    tilt, heading = (_cell(values.get(f"{m}_rmse_deg"), 1) for m in ("tilt", "heading"))
+    return f"{tilt:>5s} / {heading:<5s}"
 
 
 def _removed(values: dict[str, Any]) -> str:
@@ -259,7 +271,7 @@ def _removed(values: dict[str, Any]) -> str:
 def _cell(value: float | None, width: int = 6) -> str:
     if value is None:
         return "-".rjust(width)
-    return f"{value:{width}.2f}" if value < 9.995 else f"{value:{width}.1f}"
+    return f"{value:{width}.2f}" if value < 9.995 else f"{value:{width}.1f}" if value < 1e4 else f"{value:{width}.0e}"
 
 
 def csv(result: dict[str, Any]) -> str:

@@ -187,10 +187,7 @@ def parse(
     data.setdefault("suite", copy.deepcopy(DEFAULT_SUITES))
     notes = _add_catalogue(data, where)
     data.setdefault("estimator", copy.deepcopy(DEFAULT_ESTIMATORS))
-    if "estimators" in data and isinstance(data["estimator"], dict):
-        own = Table(data, where).texts("estimators")
-        data["estimator"] = _selected(data["estimator"], own, f"{where}: estimators")
-        del data["estimators"]
+    data = _chosen(data, where)
     if estimators and isinstance(data["estimator"], dict):
         data["estimator"] = _selected(data["estimator"], estimators, f"{where}: --estimator")
     table = Table(data, where)
@@ -268,14 +265,24 @@ def _merged(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     parent = table.text("extends", "")
     data = {k: v for k, v in table.data.items() if k != "extends"}
     if not parent:
-        return data
+        return _chosen(data, str(path))
     beside = path.parent / f"{parent}.toml"
     base = beside if beside.is_file() else find(parent)
     if base in (*seen, path):
         raise table.error("extends", f"'{parent}' leads back to this file; break the circle")
     if len(seen) == MAX_DEPTH:
         raise table.error("extends", f"goes through more than {MAX_DEPTH} files; extend one of them directly")
-    return _overlay(_merged(base, (*seen, path)), data)
+    return _chosen(_overlay(_merged(base, (*seen, path)), data), str(path))
+
+
+def _chosen(data: dict[str, Any], where: str) -> dict[str, Any]:
+    """Keep of the estimators, inherited ones included, those that `estimators = [...]` of the file names."""
+    if "estimators" not in data:
+        return data
+    names = Table(data, where).texts("estimators")
+    tables = data.get("estimator", copy.deepcopy(DEFAULT_ESTIMATORS))
+    rest = {k: v for k, v in data.items() if k != "estimators"}
+    return {**rest, "estimator": _selected(tables, names, f"{where}: estimators")} if isinstance(tables, dict) else rest
 
 
 def _overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:

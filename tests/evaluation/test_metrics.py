@@ -90,5 +90,17 @@ def test_the_table_says_how_much_of_the_time_an_estimate_covers() -> None:
     whole, partial = ({**figures, "availability": share, "phases": {}} for share in (0.996, 0.798))
     result = {"reference": "truth", "from_s": 0.0, "to_s": 10.0, "estimators": {"a": whole, "b": partial}}
     lines = table(result).splitlines()
-    assert lines[2].endswith("available") and lines[3].endswith("99.6 %") and lines[4].endswith("79.8 %")
-    assert "available" not in table({**result, "estimators": {"a": whole}})
+    assert lines[1].endswith("avail") and lines[2].endswith("99.6%") and lines[3].endswith("79.8%")
+    assert "avail" not in table({**result, "estimators": {"a": whole}})
+
+
+def test_the_table_is_sorted_by_tilt_and_fits_eighty_columns() -> None:
+    figures = {f"{m}_{s}_deg": 100.0 for m in metrics.MEASURES for s in ("rmse", "p95", "max")}
+    phases = dict.fromkeys(("ground", "straight", "turning", "transient"), figures)
+    rows = {
+        name: {**figures, "tilt_rmse_deg": tilt, "availability": 0.5, "nees": 4e5, "phases": phases}
+        for name, tilt in (("ckf-air-chr", 5.0), ("never", None), ("ins21-sbg", 0.2))
+    }
+    lines = table({"reference": "truth", "from_s": 0.0, "to_s": 662.0, "estimators": rows}).splitlines()
+    assert [line.split()[0] for line in lines[2:]] == ["ins21-sbg", "ckf-air-chr", "never"]
+    assert max(map(len, lines)) <= 80

@@ -206,7 +206,7 @@ def test_other_formats_leave_their_measurements(tmp_path: Path, capsys: pytest.C
     with FlightReader(out) as log:
         assert log.suites == {"bag": ["imu", "mag"]}
         assert len(log.record("bag", "mag")) == 3000
-    assert "errors against /reference/imu" in capsys.readouterr().out
+    assert "RMS error against /reference/imu" in capsys.readouterr().out
 
 
 def test_a_bag_without_reference_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
