@@ -157,8 +157,8 @@ MSG: ahrs_sim_msgs/ImuErrors
 std_msgs/Header header
 geometry_msgs/Vector3 gyro_bias # rad/s, FRD, true bias of the gyro: turn-on, in-run, temperature
 geometry_msgs/Vector3 accel_bias # m/s2, FRD, true bias of the accelerometer
-geometry_msgs/Vector3 gyro_effective_bias # rad/s, FRD, all that it is off but noise: scale and misalignment included
-geometry_msgs/Vector3 accel_effective_bias # m/s2, FRD, the same of the accelerometer
+geometry_msgs/Vector3 gyro_effective_bias # rad/s, FRD, what acts as a bias: with g-sensitivity
+geometry_msgs/Vector3 accel_effective_bias # m/s2, FRD, the same: with scale and misalignment times g
 MSG: ahrs_sim_msgs/EstimatorState
 std_msgs/Header header
 uint8 ALIGNING=0

@@ -33,8 +33,9 @@ class ImuRecord(Record):
 class ImuErrorsRecord(Record):
     """Not sent by any instrument: the true biases in each `ImuRecord`, for reports.
 
-    The effective ones are all that a sample is off but noise, vibration and range: scale and misalignment times what is
-    measured, non-linearity and g-sensitivity, too. A navigator's bias state means these.
+    The effective ones are what acts as a bias while the specific force stays: of the accelerometer scale, misalignment
+    and non-linearity times g, too; of the gyro g-sensitivity times g, but nothing that comes and goes with the rate.
+    A navigator's bias states mean these.
     """
 
     gyro_bias: np.ndarray = column(3)  # (n, 3) rad/s, turn-on, in-run and temperature

@@ -122,9 +122,9 @@ class Triad:
             warmth: (m,) K above the temperature at switch-on.
 
         Returns:
-            values (m, 3), saturated (m,), true bias (m, 3) of turn-on, in-run and temperature, effective bias (m, 3):
-            all that the values are off the input but noise, vibration and range, and the noiseless input (m, 3), all
-            in body axes.
+            values (m, 3), saturated (m,), true bias (m, 3) of turn-on, in-run and temperature, effective bias (m, 3)
+            and the noiseless input (m, 3), all in body axes. The effective bias is all that the values are off the
+            input but noise, vibration and range; of a sensor with g-sensitivity without what its own input causes.
         """
         m = len(t)
         u = self.band.apply(u_b, rows, extra)
@@ -140,7 +140,8 @@ class Triad:
         none = np.zeros(m)
         _triad(u, u if force_b is None else force_b, none if rms2 is None else rms2, none if warmth is None else warmth,
                noise, self._true_mount, self._mount, self.matrix, self._square, self._g_matrix, self._rectification,
-               self._tempco, self.turn_on, limit, self.figures.quantum, bias, effective, out, saturated)  # fmt: skip
+               self._tempco, self.turn_on, limit, self.figures.quantum, bias, effective, force_b is None, out,
+               saturated)  # fmt: skip
         if self.channel.sending:
             self.channel.send(t, out)
         return out, saturated, bias, effective, u
@@ -151,7 +152,7 @@ def _triad(
     u_b: np.ndarray, force_b: np.ndarray, rms2: np.ndarray, warmth: np.ndarray, noise: np.ndarray,
     true_mount: np.ndarray, mount: np.ndarray, matrix: np.ndarray, square: np.ndarray, g_matrix: np.ndarray,
     rectification: np.ndarray, tempco: np.ndarray, turn_on: np.ndarray, limit: np.ndarray, quantum: float,
-    bias: np.ndarray, effective: np.ndarray, out: np.ndarray, saturated: np.ndarray,
+    bias: np.ndarray, effective: np.ndarray, whole: bool, out: np.ndarray, saturated: np.ndarray,
 ) -> None:  # fmt: skip
     """The equation at the head of this file, row by row.
 
@@ -166,9 +167,11 @@ def _triad(
         for k in range(3):
             b[k] = turn_on[k] + bias[i, k] + tempco[k] * warmth[i]
             v = matrix[k, 0] * u[0] + matrix[k, 1] * u[1] + matrix[k, 2] * u[2] + square[k] * u[k] * u[k]
-            v += g_matrix[k, 0] * f[0] + g_matrix[k, 1] * f[1] + g_matrix[k, 2] * f[2] + rectification[k] * rms2[i]
-            e[k] = v + b[k]
-            v = e[k] + noise[i, k]
+            e[k] = b[k] + rectification[k] * rms2[i]
+            e[k] += g_matrix[k, 0] * f[0] + g_matrix[k, 1] * f[1] + g_matrix[k, 2] * f[2]
+            v += e[k] + noise[i, k]
+            if whole:
+                e[k] = v - noise[i, k] - u[k]
             top = limit[i, k]
             if v > top or v < -top:
                 v = min(max(v, -top), top)
@@ -179,4 +182,6 @@ def _triad(
         for k in range(3):
             out[i, k] = mount[0, k] * y[0] + mount[1, k] * y[1] + mount[2, k] * y[2]
             bias[i, k] = mount[0, k] * b[0] + mount[1, k] * b[1] + mount[2, k] * b[2]
-            effective[i, k] = mount[0, k] * e[0] + mount[1, k] * e[1] + mount[2, k] * e[2] - u_b[i, k]
+            effective[i, k] = mount[0, k] * e[0] + mount[1, k] * e[1] + mount[2, k] * e[2]
+            if whole:  # the mounting that the unit does not know of
+                effective[i, k] += mount[0, k] * u[0] + mount[1, k] * u[1] + mount[2, k] * u[2] - u_b[i, k]
