@@ -271,7 +271,8 @@ def _removed(values: dict[str, Any]) -> str:
 def _cell(value: float | None, width: int = 6) -> str:
     if value is None:
         return "-".rjust(width)
-    return f"{value:{width}.2f}" if value < 9.995 else f"{value:{width}.1f}" if value < 1e4 else f"{value:{width}.0e}"
+    form = ".2f" if value < 9.995 else ".1f" if value < 99.95 else ".0f" if value < 9999.5 else ".0e"
+    return f"{value:{width}{form}}"
 
 
 def csv(result: dict[str, Any]) -> str:
