@@ -15,9 +15,12 @@ from collections.abc import Iterable
 
 
 class AhrsSimError(Exception):
-    """Root of the tree; `str(error)` is one line fit for a user."""
+    """Root of the tree; `str(error)` is one line fit for a user, whatever names from files are in it."""
 
     exit_code = 1
+
+    def __init__(self, text: str = "") -> None:
+        super().__init__(printable(text))
 
 
 class InputError(AhrsSimError):
@@ -38,6 +41,13 @@ class LogError(AhrsSimError):
     """A log could not be written, or not be read to its end."""
 
     exit_code = 2
+
+
+def printable(text: str) -> str:
+    """Text fit for a line on a terminal: what is not printable becomes `?`, and the middle of a very long one goes."""
+    if not text.isprintable():
+        text = "".join(c if c.isprintable() else "?" for c in text)
+    return text if len(text) <= 3000 else f"{text[:1500]} ... {text[-1000:]}"
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

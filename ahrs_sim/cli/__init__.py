@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,7 +25,7 @@ from ahrs_sim.cli import (
     replay,
     schema,
 )
-from ahrs_sim.errors import AhrsSimError, InputError
+from ahrs_sim.errors import AhrsSimError, InputError, printable
 from estimators.errors import EstimationError
 
 # in the order of `ahrs-sim --help`
@@ -48,6 +49,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="backslashreplace")
     arguments = parser().parse_args(argv)
     debug = arguments.debug or bool(os.environ.get("AHRS_SIM_DEBUG"))
+    if not (debug or sys.warnoptions):  # numbers from a damaged file overflow: nothing that the user could mend
+        warnings.simplefilter("ignore")
     try:
         _check_environment()
         code = int(arguments.command(arguments) or 0)
@@ -90,13 +93,13 @@ def _check_environment() -> None:
 
 def _failed(line: str, code: int) -> int:
     with contextlib.suppress(OSError):  # stderr may be what is full
-        print(f"ahrs-sim: {line}", file=sys.stderr)
+        print(f"ahrs-sim: {printable(line)}", file=sys.stderr)
     return code
 
 
 def _one_line(error: Exception) -> str:
     """The text of an exception, fit for a line."""
-    line = "".join(c if c.isprintable() else "?" for c in " ".join(str(error).split()))
+    line = " ".join(str(error).split())
     return line if len(line) <= 200 else line[:197] + "..."
 
 

@@ -15,6 +15,7 @@ from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
 from ahrs_sim.log import messages
 from ahrs_sim.log.mcap.reader import LogReader, quaternion, stamps, vector
+from ahrs_sim.log.messages import LONGEST_S
 from ahrs_sim.log.topics import (
     EVENTS,
     HEARD,
@@ -30,9 +31,6 @@ from ahrs_sim.log.topics import (
 )
 from ahrs_sim.sensors.records import AttitudeRecord, FixRecord, ImuRecord, Record, SuiteBlock
 from estimators.types import Estimates, blank
-
-LONGEST_S = 7 * 86400.0
-"""s that a time of flight may be: whoever makes grids of time need not believe more."""
 
 _TYPES = {route.topic: route.type_name for route in (*TRUTH, REFERENCE, SETPOINTS, EVENTS)}
 

@@ -37,6 +37,7 @@ from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.runs import pool as flights
 from ahrs_sim.runs.pool import Outcome, Pool, Run
 from ahrs_sim.scenario import Gate, Scenario, code, parse, seeds
+from ahrs_sim.scenario.table import Table, parse_toml
 
 if TYPE_CHECKING:
     import pyarrow
@@ -44,6 +45,8 @@ if TYPE_CHECKING:
 _FOREIGN = Gate()
 BATCH_RUNS, BATCH_S = 100, 20.0
 """A file is written after so many runs or seconds: what a kill can cost."""
+
+_MOST_RUNS = 10_000_000
 
 BANDS = 60
 """Spans of time for which the error is kept, about."""
@@ -245,16 +248,21 @@ class Plan:
     @classmethod
     def from_manifest(cls, manifest: Mapping[str, Any], where: str) -> "Plan":
         """The plan kept in a manifest."""
-        import tomllib
-
-        try:
-            data = tomllib.loads(manifest["scenario"])
-            return cls(
-                manifest["name"], where, data, manifest["seed"], manifest["runs"], tuple(manifest["vary"]),
-                manifest["band_s"],
-            )  # fmt: skip
-        except (KeyError, TypeError, tomllib.TOMLDecodeError) as error:
-            raise InputError(f"{where}: not the manifest of a campaign ({error!r})") from None
+        table = Table(dict(manifest), where)
+        vary = table.value("vary")
+        if not (isinstance(vary, list) and all(isinstance(text, str) for text in vary)):
+            raise table.error("vary", "is not a list of texts")
+        plan = cls(
+            name=table.text("name"),
+            where=where,
+            data=parse_toml(table.text("scenario"), f"{where}: scenario"),
+            seed=table.integer("seed", minimum=0),
+            runs=table.integer("runs", minimum=0, maximum=_MOST_RUNS),
+            vary=tuple(vary),
+            band_s=table.number("band_s", minimum=1.0),
+        )
+        plan._variations()
+        return plan
 
 
 def _versions() -> dict[str, str]:
@@ -338,11 +346,16 @@ class Store:
         raw = self.read("manifest.json")
         if raw is None:
             raise InputError(f"{self.place}: no campaign there (no manifest.json)")
+        return Plan.from_manifest(self._manifest(raw), f"{self.place}/manifest.json")
+
+    def _manifest(self, raw: bytes) -> dict[str, Any]:
         try:
             manifest = json.loads(raw)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise InputError(f"{self._path('manifest.json')}: not JSON: {error}") from None
-        return Plan.from_manifest(manifest, f"{self.place}/manifest.json")
+        if not isinstance(manifest, dict):
+            raise InputError(f"{self._path('manifest.json')}: not the manifest of a campaign")
+        return manifest
 
     def begin(self, plan: Plan) -> None:
         """Write the manifest, or check that the campaign here is the same one; more runs may be asked for.
@@ -353,15 +366,16 @@ class Store:
         raw = self.read("manifest.json")
         new = plan.manifest()
         if raw is not None:
-            old = json.loads(raw)
+            old = self._manifest(raw)
+            runs = Plan.from_manifest(old, f"{self.place}/manifest.json").runs
             changed = [k for k in new if k not in ("runs", "versions") and new[k] != old.get(k)]
-            if any(Variation.read(v).kind == "lhs" for v in plan.vary) and old["runs"] != new["runs"]:
+            if any(Variation.read(v).kind == "lhs" for v in plan.vary) and runs != new["runs"]:
                 changed.append("runs (a Latin hypercube has a fixed number)")
             if changed:
                 raise InputError(f"{self.place}: another campaign lies there ({changed[0]} differs); choose another -o")
             if old.get("versions") != new["versions"]:
                 raise InputError(f"{self.place}: was flown with other versions ({old.get('versions')}); start anew")
-            new["runs"] = max(new["runs"], old["runs"])
+            new["runs"] = max(new["runs"], runs)
         self.write("manifest.json", json.dumps(new, indent=1).encode())
 
     # -- rows

@@ -312,13 +312,43 @@ def read_baseline(suite: Suite) -> dict[str, Any]:
     """
     try:
         baseline = json.loads(suite.baseline.read_text(encoding="utf-8"))
-        if not isinstance(baseline["flights"], dict) or not isinstance(baseline["history"], list):
-            raise TypeError
+        _check_baseline(baseline)
     except FileNotFoundError:
         raise InputError(f"{suite.baseline}: no baseline yet; make it with --renew --why 'first baseline'") from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(f"{suite.baseline}: not a baseline ({error}); restore it, or move it away and renew") from None
     return dict(baseline)
+
+
+def _check_baseline(baseline: Any) -> None:
+    """Check that a baseline has the form that `renew` writes.
+
+    Raises:
+        KeyError, TypeError, ValueError: it has not.
+    """
+    if not isinstance(baseline, dict) or not all(isinstance(entry, dict) for entry in _list(baseline["history"])):
+        raise TypeError("no tables in it")
+    for name, flight in _table(baseline["flights"]).items():
+        seeds = _list(flight["seeds"])
+        if not all(isinstance(seed, int) for seed in seeds):
+            raise TypeError(f"seeds of {name}")
+        for figures in _table(flight["estimators"]).values():
+            for figure, values in _table(figures).items():
+                if len(_list(values)) != len(seeds) or not all(x is None or isinstance(x, int | float) for x in values):
+                    raise ValueError(f"{figure} of {name}")
+                np.array(values, float)  # or it does not fit into a float
+
+
+def _table(value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise TypeError("something is no table")
+    return value
+
+
+def _list(value: Any) -> list[Any]:
+    if not isinstance(value, list):
+        raise TypeError("something is no list")
+    return value
 
 
 def renew(suite: Suite, found: Found, why: str) -> None:

@@ -252,6 +252,9 @@ class LogFile:
                         at, whole, item.log_time, item.create_time, len(item.data), item.name, item.media_type
                     )
                 )
+            elif length > _PIECE:  # what nobody knows is not loaded with the messages around it
+                close_run(at)
+                run_start, run_messages = at + whole, False
             at, before = at + whole, (opcode, length)
             if run_messages and at - run_start > _PIECE:
                 close_run(at)

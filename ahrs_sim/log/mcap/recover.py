@@ -31,6 +31,7 @@ from ahrs_sim.log.mcap.pieces import (
     uncompress,
 )
 
+_OPCODES = frozenset(Opcode)
 _RUN = 1 << 20  # bytes of loose messages that make a chunk
 _DAMAGE = (Damaged, struct.error, UnicodeDecodeError, OverflowError)
 
@@ -116,7 +117,10 @@ class _Walk:
     def next(self) -> tuple[int, bytes]:
         """The next record; stays in front of it when it is not whole."""
         opcode, length = RECORD_HEAD.unpack(read_at(self.source, self.size, self.at, RECORD_HEAD.size))
-        body = read_at(self.source, self.size, self.at + RECORD_HEAD.size, length)
+        known = opcode in _OPCODES  # others may be of any length; nothing is done with them
+        body = read_at(self.source, self.size, self.at + RECORD_HEAD.size, length) if known else b""
+        if length > self.size - self.at - RECORD_HEAD.size:
+            raise Damaged("a record is longer than the file")
         self.at += RECORD_HEAD.size + length
         return opcode, body
 

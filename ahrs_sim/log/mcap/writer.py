@@ -14,6 +14,7 @@ it came in. One worker thread compresses and writes; its queue is short, so memo
 
 import contextlib
 import dataclasses
+import os
 import queue
 import threading
 import zlib
@@ -478,16 +479,26 @@ class LogWriter:
             self._drain()
             self._closed = True
             self._guard(self._file.finish)
+            ours = self._is_ours()
         finally:
             self._closed = True
             with contextlib.suppress(OSError):
                 self._stream.close()
+        if not ours:
+            raise LogError(f"{self.path}: somebody else began the same log meanwhile; this one is lost, write it anew")
         try:
             if not self._force and self.path.exists():
                 raise FileExistsError("somebody else made one meanwhile")
             self.part.replace(self.path)
         except OSError as error:
             raise LogError(f"{self.path}: the finished log stays {self.part}: {error.strerror or error}") from None
+
+    def _is_ours(self) -> bool:
+        """Tell whether the unfinished file of that name is still the one that was opened here."""
+        try:
+            return os.path.samestat(os.fstat(self._stream.fileno()), self.part.stat())
+        except OSError:
+            return False
 
     def abort(self) -> None:
         """Stop: everything written goes into the `.part`, which stays for `recover`."""

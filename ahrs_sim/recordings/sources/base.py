@@ -12,6 +12,7 @@ import numpy as np
 from ahrs_sim.errors import InputError
 from ahrs_sim.log import messages
 from ahrs_sim.log.mcap.cdr import Definitions, message_dtype
+from ahrs_sim.log.messages import LONGEST_S
 from ahrs_sim.world import gravity
 
 FRD, NED = "base_link_frd", "map_ned"
@@ -137,6 +138,11 @@ class Held:
             raise InputError(f"{path}: nothing in it that could be replayed")
         self.epoch_ns = min(int(c.ns.min()) for c in self._topics.values())
         self.duration = (max(int(c.ns.max()) for c in self._topics.values()) - self.epoch_ns) / 1e9
+        if self.epoch_ns < 0 or self.duration > LONGEST_S:
+            raise InputError(
+                f"{path}: its times go from {self.epoch_ns / 1e9:g} s on for {self.duration:g} s; they must not be "
+                f"negative, nor last longer than {LONGEST_S:g} s"
+            )
 
     def topics(self) -> list[Topic]:
         """All of it."""

@@ -103,11 +103,11 @@ class Messages:
 
     def _factors(self) -> dict[str, dict[str, float]]:
         """SI value of a stored 1 by message and column, where FMTU says it; instance columns are 0."""
-        units = {int(r["Id"]): _text(r["Label"]) for r in self.raw("UNIT")}
-        multipliers = {int(r["Id"]): float(r["Mult"]) for r in self.raw("MULT")}
+        units = {int(r["Id"]): _text(r["Label"]) for r in self._with("UNIT", "Id", "Label")}
+        multipliers = {int(r["Id"]): float(r["Mult"]) for r in self._with("MULT", "Id", "Mult")}
         kinds = {kind: name for name, (kind, _, _) in self._formats.items()}
         found: dict[str, dict[str, float]] = {}
-        for row in self.raw("FMTU"):
+        for row in self._with("FMTU", "FmtType", "UnitIds", "MultIds"):
             name = kinds.get(int(row["FmtType"]), "")
             if not name:
                 continue
@@ -121,6 +121,11 @@ class Messages:
                 elif scale > 0.0 and units.get(unit) in _UNITS:
                     factors[column] = scale * _UNITS[units[unit]]
         return found
+
+    def _with(self, name: str, *columns: str) -> np.ndarray:
+        """As `raw`; empty when a column is missing."""
+        rows = self.raw(name)
+        return rows if set(columns) <= set(rows.dtype.names or ()) else rows[:0]
 
     @property
     def names(self) -> list[str]:
