@@ -8,7 +8,7 @@ import numpy as np
 
 from ahrs_sim.errors import InputError
 from ahrs_sim.log import messages
-from ahrs_sim.log.mcap.cdr import CdrError, Definitions, parse_definitions
+from ahrs_sim.log.mcap.cdr import Definitions, parse_definitions
 from ahrs_sim.recordings.sources.base import Topic, dtype_of, extra, one_line
 from ahrs_sim.recordings.sources.ros1 import in_bulk, to_arrays
 from ahrs_sim.recordings.sources.standard import standard_name
@@ -29,7 +29,6 @@ class Rosbag:
         if not path.exists():
             raise InputError(f"{path}: cannot be read: no such file")
         module = extra("rosbags.rosbag1" if version == 1 else "rosbags.rosbag2", "rosbags", "bags")
-        self._error: Any = (module.ReaderError, OSError, ValueError, KeyError, TypeError, IndexError, AssertionError)
         try:
             self._reader = module.Reader(path)
             self._reader.open()
@@ -102,7 +101,9 @@ class Rosbag:
                     yield {t: self._decoded(t, rows) for t, rows in waiting.items()}
                     waiting = {t: [] for t in topics}
             yield {t: self._decoded(t, rows) for t, rows in waiting.items()}
-        except (CdrError, *self._error) as error:
+        except InputError:
+            raise
+        except Exception as error:  # sqlite3 and rosbags raise many kinds for a damaged file
             raise InputError(f"{self.path}: damaged: {one_line(error)}") from None
 
     def _decoded(self, topic: str, rows: list[tuple[int, bytes]]) -> np.ndarray:
