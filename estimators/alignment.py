@@ -12,27 +12,27 @@ dv_n/dt - g. That brings a start in a turn from the angle of bank to a few degre
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 
-from estimators.jit import njit
-from estimators.models.base import MAX_FIELD, MAX_FORCE, MAX_RATE, MAX_SPEED, on_earth, plausible
+from estimators.jit import inner
+from estimators.native import Flag, Integer, Number, Record, Vector3, adapts, entry, local, record, shaped
+from estimators.plausible import MAX_FIELD, MAX_FORCE, MAX_RATE, MAX_SPEED, on_earth, plausible
+from estimators.records import SAMPLE, Sample
 from estimators.rotations import attitude_matrix, from_euler, multiply, to_body, to_nav, triad, turn
-from estimators.rows import (
-    ACCEL,
-    AIR_NEW,
-    AIRSPEED,
-    GNSS_NEW,
-    GNSS_T,
-    GYRO,
-    LLA,
-    MAG,
-    MAG_NEW,
-    VEL,
-    T,
-)
+from estimators.settings import Setting
 from estimators.types import SensorInfo, Site
+
+SETTINGS = {
+    "initialisation": Setting(
+        "aligned", "aligned: from a stationary stretch; paper: fixed state, large covariance", ("aligned", "paper")
+    ),
+    "align_s": Setting(20.0, "s, stationary stretch that is averaged", minimum=1.0, maximum=3600.0),
+    "wait_s": Setting(60.0, "s, wait for it so long, then align coarsely", minimum=1.0, maximum=3600.0),
+}
+ALIGNED = {name: setting for name, setting in SETTINGS.items() if name != "initialisation"}
+"""For models without the paper's start."""
 
 MOVING_S = 5.0  # s
 GYRO_SCATTER, ACCEL_SCATTER = (
@@ -61,154 +61,198 @@ class Alignment:
     air_n: np.ndarray  # (3,) m/s, velocity in the air mass, likewise from the airspeed
 
 
-class Start(NamedTuple):
-    """What a model's `build` returns: the model and the first contents of the estimator's memory."""
+class Aids(Record):
+    """Airspeed and GNSS velocity of a second: the first and the last of each, and the last place; NaN: none."""
 
-    model: Any
-    x: np.ndarray
-    P: np.ndarray
-    P_restart: np.ndarray
-    memory: np.ndarray
-    inputs: int  # length of u
-    measurements: int  # length of z
+    speed0: Number  # m/s
+    speed0_t: Number  # s
+    speed1: Number
+    speed1_t: Number
+    vel0_n: Vector3  # m/s
+    vel0_t: Number  # s, when it was true
+    vel1_n: Vector3
+    vel1_t: Number
+    lla: Vector3  # rad, rad, m
 
 
-class Stretch(NamedTuple):
-    """Running moments since the stretch began and of the present second (Welford)."""
+class Moments(Record):
+    """Running means and scatter of the sensors (Welford)."""
 
-    clock: (
-        np.ndarray
-    )  # s: first stamp of all, start of stretch, start of second, last stamp; 1.0 once a second was still
-    counts: np.ndarray  # samples in stretch: IMU, magnetometer; in second: IMU, magnetometer
-    mean: np.ndarray  # (2, 9) gyro, accelerometer, magnetometer; of stretch, of second
-    spread: np.ndarray  # (2, 9, 3) sums of products of deviations, a 3x3 block each
-    aid: np.ndarray  # (AID,) airspeed and GNSS of the second: first and last with their times, place; NaN: none
+    samples: Number  # of the IMU
+    fields: Number  # of the magnetometer
+    mean: Annotated[np.ndarray, shaped(9)]  # gyro, accelerometer, magnetometer
+    spread: Annotated[np.ndarray, shaped(9, 3)]  # sums of products of deviations, a 3x3 block each
+
+
+class Stretch(Record):
+    """What the alignment keeps from row to row; times are NaN before the first."""
+
+    began_t: Number  # s, first row of all
+    stretch_t: Number  # s, begin of the stationary stretch
+    second_t: Number  # s, begin of the present second
+    last_t: Number  # s, last row
+    was_still: Flag  # a second was still
+    phase: Integer  # ALIGNING, STILL or COARSE
+    stretch: Moments  # since the stretch began
+    second: Moments  # of the present second
+    aids: Aids  # of the present second
 
     @classmethod
     def make(cls) -> "Stretch":
         """Nothing seen."""
-        return cls(np.full(5, np.nan), np.zeros(4), np.zeros((2, 9)), np.zeros((2, 9, 3)), np.full(AID, np.nan))
+        made = cls.nans()
+        for name in Moments.dtype.names or ():
+            made.data["stretch"][name] = made.data["second"][name] = 0.0
+        return made
 
 
-BEGAN, STRETCH, SECOND, LAST, EVER_STILL = range(5)
-_V0, _V0_T, _V1, _V1_T, _G0, _G0_T, _G1, _G1_T, _PLACE, AID = 0, 1, 2, 3, 4, 7, 8, 11, 12, 15
-FLYING, MOVING = (
-    8.0,
-    3.0,
-)  # m/s: an airspeed above is not wind on the ground, a speed above is not noise of the receiver
+FLYING, MOVING = 8.0, 3.0  # m/s: above, an airspeed is not wind on the ground, a speed not noise of the receiver
 INCIDENCE = 0.05  # rad, of an aeroplane in cruise
 ALIGNING, STILL, COARSE = range(3)
+STRETCH = Stretch.dtype
 
 
-@njit
-def _add(s: Stretch, which: int, sensor: int, n: float, row: np.ndarray, at: int) -> None:
-    """Add one reading of a sensor (0 gyro, 1 accelerometer, 2 magnetometer), the n-th, from `row[at:at + 3]`."""
+@inner
+def _add(m: Moments, sensor: int, n: float, reading: np.ndarray) -> None:
+    """Add one reading (3,) of a sensor (0 gyro, 1 accelerometer, 2 magnetometer), the n-th."""
     first = 3 * sensor
-    before = np.empty(3)
+    before = local(3)
     for i in range(3):
-        before[i] = row[at + i] - s.mean[which, first + i]
-        s.mean[which, first + i] += before[i] / n
+        before[i] = reading[i] - m.mean[first + i]
+        m.mean[first + i] += before[i] / n
     for i in range(3):
         for j in range(3):
-            s.spread[which, first + i, j] += before[i] * (row[at + j] - s.mean[which, first + j])
+            m.spread[first + i, j] += before[i] * (reading[j] - m.mean[first + j])
 
 
-@njit
-def _clear(s: Stretch, which: int) -> None:
-    s.counts[2 * which] = s.counts[2 * which + 1] = 0.0
+@inner
+def _clear(m: Moments) -> None:
+    m.samples = m.fields = 0.0
     for i in range(9):
-        s.mean[which, i] = 0.0
+        m.mean[i] = 0.0
         for j in range(3):
-            s.spread[which, i, j] = 0.0
+            m.spread[i, j] = 0.0
 
 
-@njit
-def _watch(s: Stretch, row: np.ndarray) -> None:
+@inner
+def _forget(aids: Aids) -> None:
+    aids.speed0 = aids.speed0_t = aids.speed1 = aids.speed1_t = aids.vel0_t = aids.vel1_t = math.nan
+    for i in range(3):
+        aids.vel0_n[i] = aids.vel1_n[i] = aids.lla[i] = math.nan
+
+
+@inner
+def _watch(aids: Aids, row: Sample) -> None:
     """Keep the first and the last airspeed and GNSS velocity of the present second, and the last place."""
-    aid = s.aid
-    if row[AIR_NEW] != 0.0 and plausible(row[AIRSPEED], MAX_SPEED):
-        if math.isnan(aid[_V0_T]):
-            aid[_V0], aid[_V0_T] = row[AIRSPEED], row[T]
-        aid[_V1], aid[_V1_T] = row[AIRSPEED], row[T]
-    if row[GNSS_NEW] != 0.0 and plausible(abs(row[VEL]) + abs(row[VEL + 1]) + abs(row[VEL + 2]), MAX_SPEED):
-        if math.isnan(aid[_G0_T]):
-            aid[_G0_T] = row[GNSS_T]
+    if row.air_new and plausible(row.airspeed, MAX_SPEED):
+        if math.isnan(aids.speed0_t):
+            aids.speed0, aids.speed0_t = row.airspeed, row.t
+        aids.speed1, aids.speed1_t = row.airspeed, row.t
+    if row.gnss_new and plausible(abs(row.vel_n[0]) + abs(row.vel_n[1]) + abs(row.vel_n[2]), MAX_SPEED):
+        if math.isnan(aids.vel0_t):
+            aids.vel0_t = row.gnss_t
             for i in range(3):
-                aid[_G0 + i] = row[VEL + i]
-        aid[_G1_T] = row[GNSS_T]
+                aids.vel0_n[i] = row.vel_n[i]
+        aids.vel1_t = row.gnss_t
         for i in range(3):
-            aid[_G1 + i], aid[_PLACE + i] = row[VEL + i], row[LLA + i]
+            aids.vel1_n[i], aids.lla[i] = row.vel_n[i], row.lla[i]
 
 
-@njit
-def _is_moving(s: Stretch) -> bool:
+@inner
+def _is_moving(aids: Aids) -> bool:
     """Whether GNSS, or without it the airspeed, says that nothing stands: smooth flight scatters as little."""
-    aid = s.aid
-    if math.isfinite(aid[_G1_T]):
-        return bool(aid[_G1] ** 2 + aid[_G1 + 1] ** 2 + aid[_G1 + 2] ** 2 > MOVING**2)
-    return bool(aid[_V1] > FLYING)
+    v = aids.vel1_n
+    moving: bool = aids.speed1 > FLYING
+    if math.isfinite(aids.vel1_t):
+        moving = v[0] ** 2 + v[1] ** 2 + v[2] ** 2 > MOVING**2
+    return moving
 
 
-@njit
+@inner
 def _second_is_still(s: Stretch, gyro_limit: float, accel_limit: float, gravity: float) -> bool:
-    n = s.counts[2]
-    if n < 2.0 or _is_moving(s):
+    """Whether noise explains the scatter, a bias the rate, and gravity the force."""
+    m = s.second
+    n = m.samples
+    if n < 2.0 or _is_moving(s.aids):
         return False
     norm2 = 0.0
     for i in range(3):
-        norm2 += s.mean[1, 3 + i] ** 2
-        if s.spread[1, i, i] > (n - 1.0) * gyro_limit**2 or abs(s.mean[1, i]) > MEAN_RATE:
+        norm2 += m.mean[3 + i] ** 2
+        if m.spread[i, i] > (n - 1.0) * gyro_limit**2 or abs(m.mean[i]) > MEAN_RATE:
             return False
-        if s.spread[1, 3 + i, i] > (n - 1.0) * accel_limit**2:
+        if m.spread[3 + i, i] > (n - 1.0) * accel_limit**2:
             return False
     return abs(math.sqrt(norm2) / gravity - 1.0) < 0.1
 
 
-@njit
-def align(
-    s: Stretch, rows: np.ndarray, align_s: float, wait_s: float, gyro_limit: float, accel_limit: float, gravity: float
-) -> tuple[int, int]:
-    """Take rows until aligned: the number of rows taken and ALIGNING, STILL or COARSE."""
-    clock, count = s.clock, s.counts
-    for k in range(rows.shape[0]):
-        row = rows[k]
-        t = row[T]
-        if math.isnan(clock[BEGAN]):
-            clock[BEGAN] = clock[STRETCH] = clock[SECOND] = t
-            clock[EVER_STILL] = 0.0
-        elif t <= clock[LAST]:
-            continue
-        clock[LAST] = t
-        if t - clock[SECOND] >= 1.0:
-            if _second_is_still(s, gyro_limit, accel_limit, gravity):
-                clock[EVER_STILL] = 1.0
-                if t - clock[STRETCH] >= align_s:
-                    return k, STILL
-            else:
-                waited = t - clock[BEGAN]
-                if count[2] > 0.0 and (waited >= wait_s or (waited >= MOVING_S and clock[EVER_STILL] == 0.0)):
-                    return k, COARSE
-                _clear(s, 0)
-                clock[STRETCH] = t
-            _clear(s, 1)
-            s.aid[:] = math.nan
-            clock[SECOND] = t
-        _watch(s, row)
-        finite = True
-        for i in range(3):
-            finite &= plausible(row[GYRO + i], MAX_RATE) and plausible(row[ACCEL + i], MAX_FORCE)
-        mag = row[MAG_NEW] != 0.0
-        for i in range(3):
-            mag &= plausible(row[MAG + i], MAX_FIELD)
-        for which in range(2):
-            if finite:
-                count[2 * which] += 1.0
-                _add(s, which, 0, count[2 * which], row, GYRO)
-                _add(s, which, 1, count[2 * which], row, ACCEL)
-            if mag:
-                count[2 * which + 1] += 1.0
-                _add(s, which, 2, count[2 * which + 1], row, MAG)
-    return rows.shape[0], ALIGNING
+@inner
+def _gather(m: Moments, row: Sample, imu: bool, mag: bool) -> None:
+    """Add the readings of a row."""
+    if imu:
+        m.samples += 1.0
+        _add(m, 0, m.samples, row.gyro_b)
+        _add(m, 1, m.samples, row.accel_b)
+    if mag:
+        m.fields += 1.0
+        _add(m, 2, m.fields, row.mag_b)
+
+
+@inner
+def _end_second(
+    s: Stretch, t: float, align_s: float, wait_s: float, gyro_limit: float, accel_limit: float, gravity: float
+) -> bool:
+    """End a second at time t; true when the alignment is over, still or given up, as `phase` says."""
+    if _second_is_still(s, gyro_limit, accel_limit, gravity):
+        s.was_still = True
+        if t - s.stretch_t >= align_s:
+            s.phase = STILL
+            return True
+    else:  # the stretch starts again, unless there has been enough of that
+        waited = t - s.began_t
+        if s.second.samples > 0.0 and (waited >= wait_s or (waited >= MOVING_S and not s.was_still)):
+            s.phase = COARSE
+            return True
+        _clear(s.stretch)
+        s.stretch_t = t
+    _clear(s.second)
+    _forget(s.aids)
+    s.second_t = t
+    return False
+
+
+@entry("ppifffff", int)
+def align(  # type: ignore[empty-body]
+    stretch: Stretch, rows: np.ndarray, count: int, align_s: float, wait_s: float, gyro_limit: float,
+    accel_limit: float, gravity: float,
+) -> int:  # fmt: skip
+    """Take samples (records) until aligned; returns how many were taken, `stretch.phase` says what for."""
+
+
+@adapts(align)
+def _align(owner: Any, kernel: Any) -> Any:
+    def body(stretch, rows, count, align_s, wait_s, gyro_limit, accel_limit, gravity):  # type: ignore[no-untyped-def]
+        s = record(stretch, STRETCH)
+        for k in range(count):
+            row = record(rows, SAMPLE, k)
+            t = row.t
+            if math.isnan(s.began_t):
+                s.began_t = s.stretch_t = s.second_t = t
+                s.was_still = False
+            elif t <= s.last_t:
+                continue
+            s.last_t = t
+            if t - s.second_t >= 1.0 and _end_second(s, t, align_s, wait_s, gyro_limit, accel_limit, gravity):
+                return k
+            _watch(s.aids, row)
+            imu, mag = True, row.mag_new
+            for i in range(3):
+                imu &= plausible(row.gyro_b[i], MAX_RATE) and plausible(row.accel_b[i], MAX_FORCE)
+                mag &= plausible(row.mag_b[i], MAX_FIELD)
+            _gather(s.stretch, row, imu, mag)
+            _gather(s.second, row, imu, mag)
+        return count
+
+    return body
 
 
 def limits(sensors: SensorInfo) -> tuple[float, float]:
@@ -218,67 +262,92 @@ def limits(sensors: SensorInfo) -> tuple[float, float]:
     return max(GYRO_SCATTER, 2 * gyro), max(ACCEL_SCATTER, 2 * accel)
 
 
+@dataclass(frozen=True)
+class _Motion:
+    """What is known of the motion in the last second of a start in motion; nothing when still."""
+
+    force_b: np.ndarray  # (3,) m/s2, specific force less what the known motion adds to gravity's
+    force_n: np.ndarray  # (3,) m/s2, what this is in navigation axes
+    air_b: np.ndarray  # (3,) m/s, velocity in the air mass
+    flying: bool  # with an airspeed
+    fixes: bool  # with GNSS velocities
+
+
+def _motion(s: Stretch, still: bool, rate: np.ndarray, force: np.ndarray, gravity: float) -> _Motion:
+    a: Any = s.aids
+    flying = not still and a.speed1 > FLYING
+    fixes = not still and not flying and a.vel1_t - a.vel0_t > 0.3
+    force_n = np.array([0.0, 0.0, -gravity])
+    air_b = a.speed1 * np.array([math.cos(INCIDENCE), 0.0, math.sin(INCIDENCE)]) if flying else np.zeros(3)
+    if flying:  # a coordinated flight: w x v + dv/dt
+        span = a.speed1_t - a.speed0_t
+        force = force - np.cross(rate, air_b) - [(a.speed1 - a.speed0) / span if span > 0.3 else 0.0, 0.0, 0.0]
+    elif fixes:  # f_n = dv_n/dt - g
+        force_n = force_n + (a.vel1_n - a.vel0_n) / (a.vel1_t - a.vel0_t)
+    return _Motion(force, force_n, air_b, flying, fixes)
+
+
 def conclude(s: Stretch, still: bool, site: Site, sensors: SensorInfo) -> Alignment:
-    """The alignment from what `align` has gathered: the whole stretch when still, else the last second."""
-    which = 0 if still else 1
-    samples, fields = s.counts[2 * which], s.counts[2 * which + 1]
-    rate, force, field = s.mean[which, 0:3], s.mean[which, 3:6], s.mean[which, 6:9]
+    """Conclude the alignment from what `align` has gathered: the whole stretch when still, else the last second."""
+    seen: Any = s.stretch if still else s.second
+    aids: Any = s.aids
+    rate, force, field = seen.mean[0:3], seen.mean[3:6], seen.mean[6:9]
     mag_n = np.array(site.mag_n, float)
-    q_nb = np.array([1.0, 0.0, 0.0, 0.0])
-    aid, nothing = s.aid, np.full(3, np.nan)
-    flying = not still and bool(aid[_V1] > FLYING)
-    fixes = not still and not flying and bool(aid[_G1_T] - aid[_G0_T] > 0.3)
-    force_n = np.array([0.0, 0.0, -site.gravity])
-    v_b = aid[_V1] * np.array([math.cos(INCIDENCE), 0.0, math.sin(INCIDENCE)]) if flying else np.zeros(3)
-    if flying:
-        span = aid[_V1_T] - aid[_V0_T]
-        force = force - np.cross(rate, v_b) - [(aid[_V1] - aid[_V0]) / span if span > 0.3 else 0.0, 0.0, 0.0]
-    elif fixes:
-        force_n = force_n + (aid[_G1 : _G1 + 3] - aid[_G0 : _G0 + 3]) / (aid[_G1_T] - aid[_G0_T])
-    has_heading = fields > 0 and _two_vectors(force, field, force_n, mag_n, q_nb)
-    if not has_heading and np.linalg.norm(force) > 0.0:  # level from gravity, heading unknown
+    q_nb, nothing = np.array([1.0, 0.0, 0.0, 0.0]), np.full(3, np.nan)
+    # attitude from force and field, or level from the force alone
+    motion = _motion(s, still, rate, force, site.gravity)
+    force = motion.force_b
+    has_heading = seen.fields > 0 and _two_vectors(force, field, motion.force_n, mag_n, q_nb)
+    if not has_heading and np.linalg.norm(force) > 0.0:
         from_euler(math.atan2(-force[1], -force[2]), math.atan2(force[0], math.hypot(force[1], force[2])), 0.0, q_nb)
-    aided = flying or (fixes and has_heading)
+    aided = motion.flying or (motion.fixes and has_heading)
     if aided:  # the means are those of the middle of the second: on to its end
         middle = q_nb.copy()
-        half = 0.5 * (s.clock[LAST] - s.clock[SECOND])
+        half = 0.5 * (s.last_t - s.second_t)
         turn(middle, half * rate[0], half * rate[1], half * rate[2], q_nb)
+    # velocity and place, where an aid says them: a filter that starts in motion needs them
     air_n = nothing.copy()
-    if flying and has_heading:
-        to_nav(q_nb, v_b[0], v_b[1], v_b[2], air_n)
-    moving = not still and math.isfinite(aid[_G1_T])
-    placed = moving and on_earth(aid[_PLACE], aid[_PLACE + 1], aid[_PLACE + 2])
-    horizontal = math.hypot(mag_n[0], mag_n[1])
-    if still:
-        tilt = math.hypot(sensors.accel_bias / site.gravity, sensors.accel_scale, 1e-3)
-        heading = (
-            math.hypot(sensors.mag_bias / horizontal, tilt * mag_n[2] / horizontal, 5e-3) if has_heading else NO_HEADING
-        )
-        per_sample = sensors.gyro_noise * math.sqrt(sensors.rate / 2)
-        bias = rate.copy()
-        bias_sigma = np.full(3, math.hypot(per_sample / math.sqrt(samples), sensors.gyro_instability, 7.3e-5))
-    else:
-        tilt, heading = (AIDED_TILT, AIDED_HEADING) if aided else (COARSE_TILT, COARSE_HEADING)
-        heading = heading if has_heading else NO_HEADING
-        bias, bias_sigma = np.zeros(3), np.full(3, max(sensors.gyro_bias, 1e-4))
+    if motion.flying and has_heading:
+        to_nav(q_nb, *motion.air_b, air_n)
+    moving = not still and math.isfinite(aids.vel1_t)
+    placed = moving and on_earth(*aids.lla)
+    sigma_n, bias, bias_sigma = _sigmas(still, aided, has_heading, seen, site, sensors)
 
     def covariance(sensor: int, n: float) -> np.ndarray:
-        block = s.spread[which, 3 * sensor : 3 * sensor + 3]
+        block = seen.spread[3 * sensor : 3 * sensor + 3]
         return (block + block.T) / (2 * (n - 1)) if n > 1 else np.full((3, 3), np.nan)
 
     return Alignment(
         still=still,
         q_nb=q_nb,
-        sigma_n=np.array([tilt, tilt, heading]),
+        sigma_n=sigma_n,
         gyro_bias=bias,
         gyro_bias_sigma=bias_sigma,
-        gyro_cov=covariance(0, samples),
-        accel_cov=covariance(1, samples),
-        mag_cov=covariance(2, fields),
-        vel_n=aid[_G1 : _G1 + 3].copy() if moving else nothing,
-        lla=aid[_PLACE : _PLACE + 3].copy() if placed else nothing,
+        gyro_cov=covariance(0, seen.samples),
+        accel_cov=covariance(1, seen.samples),
+        mag_cov=covariance(2, seen.fields),
+        vel_n=aids.vel1_n.copy() if moving else nothing,
+        lla=aids.lla.copy() if placed else nothing,
         air_n=air_n,
     )
+
+
+def _sigmas(
+    still: bool, aided: bool, has_heading: bool, seen: Any, site: Site, sensors: SensorInfo
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Sigmas of the attitude (3,) rad; gyro bias (3,) rad/s and its sigmas: from the data sheet, or coarse."""
+    if still:  # biases of the accelerometer tilt it, those of the field and the tilt turn it
+        horizontal = math.hypot(site.mag_n[0], site.mag_n[1])
+        tilt = math.hypot(sensors.accel_bias / site.gravity, sensors.accel_scale, 1e-3)
+        heading = math.hypot(sensors.mag_bias / horizontal, tilt * site.mag_n[2] / horizontal, 5e-3)
+        per_sample = sensors.gyro_noise * math.sqrt(sensors.rate / 2)
+        bias = seen.mean[0:3].copy()
+        # the mean rate has the Earth's in it
+        sigma = math.hypot(per_sample / math.sqrt(seen.samples), sensors.gyro_instability, 7.3e-5)
+    else:
+        tilt, heading = (AIDED_TILT, AIDED_HEADING) if aided else (COARSE_TILT, COARSE_HEADING)
+        bias, sigma = np.zeros(3), max(sensors.gyro_bias, 1e-4)
+    return np.array([tilt, tilt, heading if has_heading else NO_HEADING]), bias, np.full(3, sigma)
 
 
 def _two_vectors(

@@ -17,8 +17,6 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba import types
-from numba.extending import intrinsic, overload, register_jitable
 
 
 def _cache_root() -> Path:
@@ -54,13 +52,18 @@ def _private_root() -> Path:
     return Path(made)
 
 
-def compiler(*packages: Path) -> Callable[..., Any]:
-    """A decorator like `numba.njit(cache=True)` whose cache is keyed by all sources of `packages` and the versions."""
+def cache_folder(*packages: Path) -> Path:
+    """Folder of the kernels compiled from these packages: another one for any other state of sources or versions."""
     digest = hashlib.sha256(f"{numba.__version__} {np.__version__}".encode())
     for package in packages:
         for source in sorted(package.rglob("*.py")):
             digest.update(source.read_bytes())
-    folder = str(_cache_root() / f"kernels-{digest.hexdigest()[:16]}")
+    return _cache_root() / f"kernels-{digest.hexdigest()[:16]}"
+
+
+def compiler(*packages: Path) -> Callable[..., Any]:
+    """A decorator like `numba.njit(cache=True)` whose cache is keyed by all sources of `packages` and the versions."""
+    folder = str(cache_folder(*packages))
 
     def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         def decorate(function: Callable[..., Any]) -> Any:
@@ -79,47 +82,13 @@ def compiler(*packages: Path) -> Callable[..., Any]:
     return njit
 
 
-njit = compiler(Path(__file__).parent)
+_HERE = Path(__file__).parent
+FOLDER = cache_folder(_HERE)
+JIT = not numba.config.DISABLE_JIT  # type: ignore[attr-defined]
+njit = compiler(_HERE)
 
 
-def inner(function: Callable[..., Any]) -> Callable[..., Any]:
-    """For parts of kernels that take tuples: compiled into their callers, plain Python when called from there."""
-    chosen: Callable[..., Any] = register_jitable(error_model="numpy", forceinline=True)(function)
-    return chosen
-
-
-def borrowed(value: Any) -> Any:
-    """The same array, or NamedTuple of arrays, without counting references: each count is an atomic operation.
-
-    For the outermost kernel, which its caller's arrays outlive; what is borrowed must not leave it.
-    """
-    return value
-
-
-def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
-    if isinstance(kind, types.Array):
-        array = context.make_array(kind)(context, builder, value=value)
-        array.meminfo = array.meminfo.type(None)
-        array.parent = array.parent.type(None)
-        return array._getvalue()
-    if isinstance(kind, types.BaseTuple):
-        for i, part in enumerate(kind.types):  # type: ignore[attr-defined]
-            inside = _without_owner(context, builder, part, builder.extract_value(value, i))
-            value = builder.insert_value(value, inside, i)
-    return value
-
-
-@intrinsic
-def _borrowed(typing_context: Any, value: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return _without_owner(context, builder, signature.return_type, arguments[0])
-
-    return value(value), generate
-
-
-@overload(borrowed, jit_options={"forceinline": True})
-def _choose_borrowed(value):  # type: ignore[no-untyped-def]
-    def taken(value):  # type: ignore[no-untyped-def]
-        return _borrowed(value)  # type: ignore[call-arg]
-
-    return taken
+def inner(function: Callable[..., Any]) -> Any:
+    """Compile a part of kernels that nobody calls from Python: no wrapper for it, no file of its own on disk."""
+    options: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "error_model": "numpy", "_nrt": False}
+    return numba.njit(**options)(function)

@@ -11,62 +11,72 @@ delay. w is the gyro as it is: a turn-on bias of 0.3 deg/s is 0.01 deg in 30 ms.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
-from estimators.jit import njit
+from estimators.jit import inner
+from estimators.native import adapts, entry, local, record
+from estimators.records import ESTIMATE, SAMPLE
 from estimators.rotations import turn
-from estimators.rows import ACCEL, E_DOWN, E_GYRO_BIAS, E_Q, GNSS_T, GYRO, HEADING_T, MAG
+
+_FASTEST = 30.0  # rad/s: beyond, it is no rate
 
 
-@njit
-def _turned(row: np.ndarray, at: int, x: float, y: float, z: float) -> None:
-    """`row[at:at + 3]` turned by exp(-[r x]), r = (x, y, z) rad, to second order."""
-    a, b, c = row[at], row[at + 1], row[at + 2]
-    u, v, w = y * c - z * b, z * a - x * c, x * b - y * a
-    row[at] = a - u + 0.5 * (y * w - z * v)
-    row[at + 1] = b - v + 0.5 * (z * u - x * w)
-    row[at + 2] = c - w + 0.5 * (x * v - y * u)
+@inner
+def _turn_vector(v: np.ndarray, x: float, y: float, z: float) -> None:
+    """Vector v (3,) turned by exp(-[r x]), r = (x, y, z) rad, to second order; in place."""
+    a, b, c = v[0], v[1], v[2]
+    d, e, f = y * c - z * b, z * a - x * c, x * b - y * a
+    v[0] = a - d + 0.5 * (y * f - z * e)
+    v[1] = b - e + 0.5 * (z * d - x * f)
+    v[2] = c - f + 0.5 * (x * e - y * d)
 
 
-@njit
-def to_gyro_time(rows: np.ndarray, gyro_delay: float, accel_delay: float, mag_delay: float) -> None:
-    """Accelerometer and magnetometer of samples (n, SAMPLE_WIDTH) as if they had been read with the gyro; in place."""
-    for k in range(rows.shape[0]):
-        row = rows[k]
-        x, y, z = row[GYRO], row[GYRO + 1], row[GYRO + 2]
-        row[GNSS_T] += accel_delay
-        row[HEADING_T] += gyro_delay
-        if math.isfinite(x * y * z) and abs(x) + abs(y) + abs(z) < 30.0:  # rad/s: beyond, it is no rate
-            tau = accel_delay - gyro_delay
-            _turned(row, ACCEL, tau * x, tau * y, tau * z)
-            tau = mag_delay - gyro_delay
-            _turned(row, MAG, tau * x, tau * y, tau * z)
+@entry("pifff")
+def to_gyro_time(rows: np.ndarray, count: int, gyro_delay: float, accel_delay: float, mag_delay: float) -> None:
+    """Turn accelerometer and magnetometer of samples to where the body was when the gyro was read; in place."""
 
 
-@njit
-def to_stamp_time(rows: np.ndarray, out: np.ndarray, first: int, gyro_delay: float) -> None:
-    """Attitude and down vector of estimates (n, ESTIMATE_WIDTH) from row `first` on, turned on to the stamp."""
-    q, turned = np.empty(4), np.empty(4)
-    for k in range(first, rows.shape[0]):
-        row, answer = rows[k], out[k]
-        x, y, z = row[GYRO], row[GYRO + 1], row[GYRO + 2]
-        for i in range(3):
-            bias = answer[E_GYRO_BIAS + i]
-            if math.isfinite(bias):
-                if i == 0:
-                    x -= bias
-                elif i == 1:
-                    y -= bias
-                else:
-                    z -= bias
-        if not (math.isfinite(x * y * z) and abs(x) + abs(y) + abs(z) < 30.0):
-            continue
-        x, y, z = gyro_delay * x, gyro_delay * y, gyro_delay * z
-        _turned(answer, E_DOWN, x, y, z)
-        if math.isfinite(answer[E_Q]):
-            for i in range(4):
-                q[i] = answer[E_Q + i]
-            turn(q, x, y, z, turned)
-            for i in range(4):
-                answer[E_Q + i] = turned[i]
+@adapts(to_gyro_time)
+def _to_gyro_time(owner: Any, kernel: Any) -> Any:
+    def body(rows, count, gyro_delay, accel_delay, mag_delay):  # type: ignore[no-untyped-def]
+        for k in range(count):
+            row = record(rows, SAMPLE, k)
+            x, y, z = row.gyro_b[0], row.gyro_b[1], row.gyro_b[2]
+            row.gnss_t += accel_delay
+            row.heading_t += gyro_delay
+            if math.isfinite(x * y * z) and abs(x) + abs(y) + abs(z) < _FASTEST:
+                tau = accel_delay - gyro_delay
+                _turn_vector(row.accel_b, tau * x, tau * y, tau * z)
+                tau = mag_delay - gyro_delay
+                _turn_vector(row.mag_b, tau * x, tau * y, tau * z)
+
+    return body
+
+
+@entry("ppiif")
+def to_stamp_time(rows: np.ndarray, out: np.ndarray, first: int, count: int, gyro_delay: float) -> None:
+    """Turn attitude and down vector of estimates `first` to `count` - 1 on to the time of the stamp; in place."""
+
+
+@adapts(to_stamp_time)
+def _to_stamp_time(owner: Any, kernel: Any) -> Any:
+    def body(rows, out, first, count, gyro_delay):  # type: ignore[no-untyped-def]
+        q = local(4)
+        for k in range(first, count):
+            answer = record(out, ESTIMATE, k)
+            rate, bias = record(rows, SAMPLE, k).gyro_b, answer.gyro_bias
+            x = rate[0] - bias[0] if math.isfinite(bias[0]) else rate[0]
+            y = rate[1] - bias[1] if math.isfinite(bias[1]) else rate[1]
+            z = rate[2] - bias[2] if math.isfinite(bias[2]) else rate[2]
+            if not (math.isfinite(x * y * z) and abs(x) + abs(y) + abs(z) < _FASTEST):
+                continue
+            x, y, z = gyro_delay * x, gyro_delay * y, gyro_delay * z
+            _turn_vector(answer.down_b, x, y, z)
+            if math.isfinite(answer.q_nb[0]):
+                for i in range(4):
+                    q[i] = answer.q_nb[i]
+                turn(q, x, y, z, answer.q_nb)
+
+    return body

@@ -97,13 +97,36 @@ def condition(
 
 
 @njit
-def healthy(x: np.ndarray, P: np.ndarray) -> bool:
-    """Whether all states are finite and all variances finite and positive."""
+def healthy(raw: int, x: np.ndarray, n: int, P: np.ndarray) -> bool:
+    """Whether all of `raw` states are finite and all of n variances finite and positive."""
     total = 0.0
-    for i in range(x.shape[0]):
+    for i in range(raw):
         total += x[i] * 0.0  # NaN when any is infinite or NaN
     positive = True
-    for i in range(P.shape[0]):
+    for i in range(n):
         total += P[i, i] * 0.0
         positive &= P[i, i] > 0.0
     return positive and total == 0.0
+
+
+@njit(forceinline=True)
+def spread(
+    d: np.ndarray,
+    s: np.ndarray,
+    shift: np.ndarray,
+    pairs: int,
+    rows: int,
+    odd: float,
+    even: float,
+    square: float,
+    out: np.ndarray,
+) -> None:
+    """`out` (lower half) = sum_i [odd d_i d_i^T + even s_i s_i^T] + square shift shift^T, covariance of points."""
+    for a in range(rows):
+        for b in range(a + 1):
+            out[a, b] = square * shift[a] * shift[b]
+    for i in range(pairs):
+        for a in range(rows):
+            weighted_d, weighted_s = odd * d[i, a], even * s[i, a]
+            for b in range(a + 1):
+                out[a, b] += weighted_d * d[i, b] + weighted_s * s[i, b]

@@ -11,11 +11,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimators.errors import SampleError, SettingError
-from estimators.filters.base import Work
-from estimators.filters.ekf import Ekf
+from estimators.filters import ekf
+from estimators.filters.base import FilterHandle, Method
 from estimators.filters.gaussian_sum import Bank, mean_and_covariance, reduce_bank, step
+from estimators.filters.work import Work
 from estimators.jit import njit
-from estimators.models.emitter import PHASE, RATE, Emitter, hypotheses, look_noise
+from estimators.models.base import Handle
+from estimators.models.emitter import PHASE, RATE, Emitter, bound, hypotheses, look_noise
+from estimators.native import argument
 from estimators.types import Columns, Status, blank, column
 
 _RUNNING, _COASTING, _DIVERGED = int(Status.RUNNING), int(Status.COASTING), int(Status.DIVERGED)
@@ -89,8 +92,9 @@ def _select(track: _Track, x: np.ndarray, u: np.ndarray) -> None:
 
 @njit
 def _run(
-    method: Any,
-    model: Any,
+    method: FilterHandle,
+    model: Handle,
+    emitter: Emitter,
     bank: Bank,
     track: _Track,
     work: Work,
@@ -98,7 +102,7 @@ def _run(
     t: np.ndarray,
     u: np.ndarray,
     z: np.ndarray,
-    out: Any,
+    out: _Out,
     first: int,
 ) -> int:
     """Looks `first` to the last into `out`; returns the rows done, fewer than there are when the bank is lost."""
@@ -111,7 +115,7 @@ def _run(
             used[i] = usable and math.isfinite(z[k, i])
         if used[PHASE]:
             noise[0, 0] = 0.0
-            look_noise(model, bank.x[0], u[k], noise)
+            look_noise(emitter, bank.x[0], u[k], noise)
             used[PHASE] = noise[0, 0] <= limits.phase * limits.phase
         status = _COASTING
         if used[PHASE] or used[RATE]:
@@ -152,7 +156,7 @@ class EmitterLocator:
         merge_below: float = 1.0,
         prune_below: float = 1e-5,
         phase_limit: float = 1.5,
-        method: Any = None,
+        method: Method | None = None,
         **emitter: float,
     ) -> None:
         """Settings, with the paper's values (section 4.1.1) as defaults.
@@ -191,8 +195,9 @@ class EmitterLocator:
             "coarse": coarse_bearing, "coarse_sigma": coarse_sigma, "every": int(every), "bearing_sigma": bearing_sigma
         }  # fmt: skip
         self._limits = _Limits(float(merge_below), float(prune_below), float(phase_limit))
-        self._method = Ekf() if method is None else method
-        self._work = Work.make(self.model, 2)
+        self._method = method or Method(ekf, ekf.make({}))
+        self._bound = bound(self.model, self._method)
+        self._work = Work.zeros()
         self.reset()
 
     def reset(self) -> None:
@@ -223,7 +228,9 @@ class EmitterLocator:
             begun = done = self._begin(looks.t, u, z)
         if self.bank is not None:
             t = np.ascontiguousarray(looks.t, float)
-            done = _run(self._method, self.model, self.bank, self._track, self._work, self._limits, t, u, z, out, done)
+            handles = argument(self._method.handle), argument(self._bound.handle)
+            memory = self.model, self.bank, self._track, argument(self._work), self._limits
+            done = _run(*handles, *memory, t, u, z, out, done)
             if done < len(looks):
                 self.bank, self._lost = None, True
         fixes.status[begun : begun + 1] = _RUNNING  # the look that made the terms

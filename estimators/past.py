@@ -1,56 +1,59 @@
-"""A ring of past values, for measurements that are old when they arrive.
-
-A ring is a row of numbers (LENGTH,) in a model's memory, NaN at first: it keeps WIDTH values of each of the last SLOTS
-rows.
-"""
+"""A ring of past values, for measurements that are old when they arrive: a record in a model's memory, NaN at first."""
 
 import math
+from typing import Annotated
 
 import numpy as np
 
 from estimators.jit import njit
+from estimators.native import Number, Record, shaped
 from estimators.rotations import wrap
 
 SLOTS, WIDTH = 256, 7  # rows: more than a second at 200 Hz
-_STRIDE = WIDTH + 1
-LENGTH = 1 + SLOTS * _STRIDE
+
+
+class Ring(Record):
+    """WIDTH values of each of the last SLOTS rows."""
+
+    newest: Number  # slot; NaN: nothing kept yet
+    t: Annotated[np.ndarray, shaped(SLOTS)]  # s
+    values: Annotated[np.ndarray, shaped(SLOTS, WIDTH)]
 
 
 @njit
-def keep(ring: np.ndarray, t: float, values: np.ndarray) -> None:
-    """Put `values` (WIDTH,) of time t in; times must rise."""
-    slot = 0 if math.isnan(ring[0]) else (int(ring[0]) + 1) % SLOTS
-    ring[0] = slot
-    at = 1 + slot * _STRIDE
-    ring[at] = t
+def keep(ring: Ring, t: float, values: np.ndarray) -> None:
+    """Store `values` (WIDTH,) of time t (s); times must rise."""
+    slot = 0 if math.isnan(ring.newest) else (int(ring.newest) + 1) % SLOTS
+    ring.newest = float(slot)
+    ring.t[slot] = t
     for i in range(WIDTH):
-        ring[at + 1 + i] = values[i]
+        ring.values[slot, i] = values[i]
 
 
 @njit
-def recall(ring: np.ndarray, t: float, angles: tuple[int, ...], out: np.ndarray) -> bool:
+def recall(ring: Ring, t: float, angles: tuple[int, ...], out: np.ndarray) -> bool:
     """`out` (WIDTH,) = values at time t, straight between rows, the newest if t is later; False when t is too old.
 
     Those at the places `angles` are angles.
     """
-    if math.isnan(ring[0]) or not math.isfinite(t):
+    if math.isnan(ring.newest) or not math.isfinite(t):
         return False
-    slot = int(ring[0])
-    late = 1 + slot * _STRIDE
-    t = min(t, ring[late])
-    if t == ring[late]:
+    slot = int(ring.newest) % SLOTS
+    late = slot
+    t = min(t, ring.t[late])
+    if t == ring.t[late]:
         for i in range(WIDTH):
-            out[i] = ring[late + 1 + i]
+            out[i] = ring.values[late, i]
         return True
     for back in range(1, SLOTS):
-        early = 1 + ((slot - back) % SLOTS) * _STRIDE
-        if not ring[early] < ring[late]:  # NaN: not filled yet
+        early = (slot - back) % SLOTS
+        if not ring.t[early] < ring.t[late]:  # NaN: not filled yet
             return False
-        if ring[early] <= t:
-            share = (t - ring[early]) / (ring[late] - ring[early])
+        if ring.t[early] <= t:
+            share = (t - ring.t[early]) / (ring.t[late] - ring.t[early])
             for i in range(WIDTH):
-                step = ring[late + 1 + i] - ring[early + 1 + i]
-                out[i] = ring[early + 1 + i] + share * (wrap(step) if i in angles else step)
+                step = ring.values[late, i] - ring.values[early, i]
+                out[i] = ring.values[early, i] + share * (wrap(step) if i in angles else step)
             return True
         late = early
     return False

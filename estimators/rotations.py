@@ -245,3 +245,27 @@ def triad(down_b: np.ndarray, mag_b: np.ndarray, mag_n: np.ndarray, out: np.ndar
     C_bn[2, 0], C_bn[2, 1], C_bn[2, 2] = cosine * nz - sine * ez, sine * nz + cosine * ez, dz
     from_matrix(C_bn, out)
     return True
+
+
+@njit
+def rotation_slopes(rx: float, ry: float, rz: float, E: np.ndarray, J: np.ndarray) -> None:
+    """`E = exp(-[r x])` (3, 3) and the right Jacobian `J` (3, 3) of rotation r: exp(r + d) = exp(r) exp(J d)."""
+    a2 = rx * rx + ry * ry + rz * rz
+    if a2 < 1e-4:
+        sine, cosine, cubic = 1.0 - a2 / 6.0 + a2 * a2 / 120.0, 0.5 - a2 / 24.0, 1.0 / 6.0 - a2 / 120.0
+    else:
+        a = math.sqrt(a2)
+        sine, cosine, cubic = math.sin(a) / a, (1.0 - math.cos(a)) / a2, (a - math.sin(a)) / (a2 * a)
+    # products of r with itself: [r x]^2 = r r^T - a2 I
+    E[0, 0], E[1, 1], E[2, 2] = (
+        1.0 + cosine * (rx * rx - a2),
+        1.0 + cosine * (ry * ry - a2),
+        1.0 + cosine * (rz * rz - a2),
+    )
+    E[0, 1], E[1, 0] = cosine * rx * ry + sine * rz, cosine * rx * ry - sine * rz
+    E[0, 2], E[2, 0] = cosine * rx * rz - sine * ry, cosine * rx * rz + sine * ry
+    E[1, 2], E[2, 1] = cosine * ry * rz + sine * rx, cosine * ry * rz - sine * rx
+    J[0, 0], J[1, 1], J[2, 2] = 1.0 + cubic * (rx * rx - a2), 1.0 + cubic * (ry * ry - a2), 1.0 + cubic * (rz * rz - a2)
+    J[0, 1], J[1, 0] = cubic * rx * ry + cosine * rz, cubic * rx * ry - cosine * rz
+    J[0, 2], J[2, 0] = cubic * rx * rz - cosine * ry, cubic * rx * rz + cosine * ry
+    J[1, 2], J[2, 1] = cubic * ry * rz + cosine * rx, cubic * ry * rz - cosine * rx

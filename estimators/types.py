@@ -46,6 +46,19 @@ def column(*shape: int, dtype: type = float) -> np.ndarray:
     return field(metadata={"shape": shape, "dtype": dtype})  # type: ignore[no-any-return]
 
 
+def real(name: str, value: object) -> np.ndarray:
+    """The array of a column.
+
+    Raises:
+        SampleError: anything but real numbers or booleans: complex numbers, text, masked arrays.
+    """
+    array = np.asanyarray(value)
+    if array.dtype.kind not in "biuf" or isinstance(array, np.ma.MaskedArray):
+        kind = "a masked array (fill it with NaN)" if isinstance(array, np.ma.MaskedArray) else f"of type {array.dtype}"
+        raise SampleError(f"Samples: {name} is {kind}, expected real numbers")
+    return array
+
+
 def blank(cls: type, n: int) -> dict[str, np.ndarray]:
     """Writable columns of `n` rows for a block type whose fields are made with `column`: NaN, 0 or False."""
     columns = {}
@@ -93,7 +106,7 @@ class Samples(Columns):
         for name, value in {"t": t, "gyro_b": gyro_b, "accel_b": accel_b, **columns}.items():
             if name not in made:
                 raise SampleError(f"Samples: no column '{name}'")
-            array = np.ascontiguousarray(value, dtype=made[name].dtype)
+            array = np.ascontiguousarray(real(name, value), dtype=made[name].dtype)
             if array.shape != made[name].shape:
                 raise SampleError(f"Samples: {name} has shape {array.shape}, expected {made[name].shape}")
             made[name] = array

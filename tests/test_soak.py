@@ -55,7 +55,7 @@ def test_two_hours_with_the_catalogue(tmp_path):
             assert (said.status != Status.DIVERGED).all(), at
             aligned = said.status != Status.ALIGNING
             assert np.isfinite(said.down_b[aligned]).all(), at
-            P = estimator.state()["carry"].P
+            P = estimator.state()["filter"]["P"]
             if np.array_equal(P, np.tril(P)):  # square-root forms carry its factor
                 P = P @ P.T
             assert np.array_equal(P, P.T), at

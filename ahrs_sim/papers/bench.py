@@ -104,23 +104,22 @@ def turned(
         The samples it has not seen and the estimator.
     """
     taken = 0
-    while estimator.state()["carry"] is None:
+    while estimator.state()["filter"] is None:
         estimator.process(samples[taken : taken + 1])
         taken += 1
     state = estimator.state()
-    carry = state["carry"]
-    x = carry.x.copy()
+    x, P = state["filter"]["x"], state["filter"]["P"]
     q = np.empty(4)
     angle = math.radians(degrees)
     down = attitude.down(x[None, :4])[0]  # a turn about the vertical is one about `down` in body axes
     turn(x[:4], *(angle * down), q)
     x[:4] = q
-    P = _widened(carry.P, x[:4], down, angle)
+    widened = _widened(P, x[:4], down, angle)
     if variance is not None:
         rank = 4 if len(P) == 10 else 3
-        P = carry.P.copy()
-        P[:rank, :rank] = variance * np.eye(rank)
-    state["carry"] = carry._replace(x=x, P=P)
+        widened = P.copy()
+        widened[:rank, :rank] = variance * np.eye(rank)
+    state["filter"]["P"] = widened
     estimator.restore(state)
     return samples[taken:], estimator
 

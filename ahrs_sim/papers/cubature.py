@@ -146,10 +146,9 @@ def from_far(
 def _bias_variance(estimator: Any, variance: float) -> None:
     """Make the gyro bias known so well, (rad/s)^2, and uncorrelated."""
     state = estimator.state()
-    P = state["carry"].P.copy()
+    P = state["filter"]["P"]
     P[7:], P[:, 7:] = 0.0, 0.0
     P[7:, 7:] = variance * np.eye(3)
-    state["carry"] = state["carry"]._replace(P=P)
     estimator.restore(state)
 
 

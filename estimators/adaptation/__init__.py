@@ -1,33 +1,30 @@
-"""How far to trust a measurement: one short file per policy, for any filter on any model (see `base`).
-
-make({"adaptation": "fuzzy", "fuzzy_memory": 0.98, ...}, site)
-"""
+"""How far to trust a measurement: one short file per policy, for any filter on any model (see `base`)."""
 
 import importlib
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from estimators.adaptation.base import MEMORY, SENSORS, Plain
+from estimators.settings import Setting
 from estimators.types import Site
 
-_POLICIES = {"switched": "switched", "fuzzy": "fuzzy", "gate": "gating", "magnetic": "magnetic"}
+if TYPE_CHECKING:
+    from estimators.adaptation.base import BoundPolicy
+
+_POLICIES = {"none": "plain", "switched": "switched", "fuzzy": "fuzzy", "gate": "gating", "magnetic": "magnetic"}
 
 
-def make(settings: Mapping[str, Any], site: Site) -> Any:
-    """The policy that `settings["adaptation"]` names ("none" when it is not there), a NamedTuple.
-
-    Only its module is imported: what is not used is not compiled.
-    """
-    name = settings.get("adaptation", "none")
-    if name == "none":
-        return Plain()
-    return importlib.import_module(f"estimators.adaptation.{_POLICIES[name]}").make(settings, site)
+def settings(default: str = "none", **values: float) -> dict[str, Setting]:
+    """Settings of all policies, for any method; `values` are defaults of this one that differ."""
+    known = {"adaptation": Setting(default, "how far measurements are trusted", tuple(_POLICIES))}
+    for name in _POLICIES.values():
+        known |= getattr(importlib.import_module(f"estimators.adaptation.{name}"), "SETTINGS", {})
+    return known | {name: replace(known[name], default=value) for name, value in values.items()}
 
 
-def fresh() -> np.ndarray:
-    """The memory of a policy that has seen nothing."""
-    trust = np.zeros(MEMORY)
-    trust[:SENSORS] = np.nan
-    return trust
+def make(settings: Mapping[str, Any], site: Site) -> "BoundPolicy":
+    """Make the policy that `settings["adaptation"]` names ("none" when it is not there)."""
+    from estimators.adaptation.base import BoundPolicy
+
+    module = importlib.import_module(f"estimators.adaptation.{_POLICIES[settings.get('adaptation', 'none')]}")
+    return BoundPolicy(module, module.make(settings, site))

@@ -1,148 +1,169 @@
-"""What an adaptation policy supplies.
+"""What an adaptation policy supplies: how far a measurement is trusted, for any filter on any model.
 
-A policy is a `NamedTuple` of its parameters with `admit` and `factor`, or one of them, registered for its type. It sees
-sensors, not physics: a sensor is three consecutive measurements of a group (or what is left of it), sensors are counted
-through all groups. Its memory `trust` (MEMORY,) starts with how far each sensor was trusted last, and the first four of
-these go into the estimates: 1 as far as the model says, 0.1 with ten times the variance, 0 not at all, NaN never seen.
+A policy is a module with records `Parameters` and `Trust`, one or both kernels of `Policy`, SETTINGS and
+`make(settings, site)`. It sees sensors, not physics: a sensor is three consecutive measurements of a group (or what is
+left of it), sensors are counted through all groups.
 """
 
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 
-from estimators.generic import default, generic, register
-from estimators.jit import inner, njit
-from estimators.models.base import ROWS, measurement_noise
+from estimators.filters.work import TRUST, WORK, Work
+from estimators.jit import JIT, inner
+from estimators.models.base import HANDLE, Handle, measurement_noise
+from estimators.native import (
+    Address,
+    Plain,
+    Record,
+    adapts,
+    entry,
+    flags,
+    pointer,
+    record,
+    shaped,
+    source_key,
+    supplied,
+    vector,
+)
+from estimators.records import SAMPLE, Sample
 
 SENSORS = 8
-MEMORY = 4 * SENSORS
+Sensors = Annotated[np.ndarray, shaped(SENSORS)]
+KEPT = 8 * TRUST
+"""Bytes of what a policy keeps: `class Trust(Record, size=KEPT)`."""
 
 
-@generic
-def admit(policy: Any, model: Any, row: np.ndarray, x: np.ndarray, trust: np.ndarray, used: np.ndarray) -> bool:  # type: ignore[empty-body]
-    """Before anything is corrected: refuse measurements by clearing `used`; true when one was (status COASTING).
+class Trust(Record, size=KEPT):
+    """What every policy keeps first: how far each sensor was trusted last.
 
-    `x` is the predicted state, whose first four elements are q_nb for every model that has a heading.
+    1 as far as the model says, 0.1 with ten times the variance, 0 not at all, NaN never seen. The first four go into
+    the estimates (`adaptation`).
     """
 
-
-@generic
-def factor(  # type: ignore[empty-body]
-    policy: Any,
-    sensor: int,
-    first: int,
-    end: int,
-    S: np.ndarray,
-    noise: np.ndarray,
-    error: np.ndarray,
-    counts: np.ndarray,
-    trust: np.ndarray,
-    scratch: np.ndarray,
-) -> float:
-    """On the noise of one sensor, rows `first` to `end` of its group: 1 as the model says, 0 to refuse it.
-
-    Args:
-        policy: the policy.
-        sensor: its number.
-        first: its first row.
-        end: the row after its last.
-        S: (rows, rows) predicted covariance of the group without noise, lower half.
-        noise: (rows, rows) the model's noise, lower half.
-        error: (rows,) measured minus predicted.
-        counts: (rows,) which of them are there.
-        trust: memory.
-        scratch: (rows, rows).
-    """
+    trusted: Sensors
 
 
-@generic
-def disturbed(model: Any) -> tuple[int, int, int]:  # type: ignore[empty-body]
-    """Of a model: rows of z (from, end) that the vehicle's own acceleration or turning falsifies, their sensor."""
+class Policy(Protocol):
+    """The kernels of a policy. `policy` is its record `Parameters`, `trust` its `Trust`. Both may be missing."""
+
+    Parameters: type[Record]
+    Trust: type[Record]
+
+    def admit(self, policy: Record, model: Handle, row: Sample, x: np.ndarray, trust: Record, used: np.ndarray) -> bool:
+        """Refuse measurements of a row before anything is corrected, by clearing `used`; true when one was (COASTING).
+
+        `x` is the predicted state, whose first four elements are q_nb for every model that has a heading.
+        """
+
+    def factor(self, policy: Record, sensor: int, first: int, end: int, trust: Record, work: Work) -> float:
+        """Return the factor on the noise of one sensor, rows `first` to `end` - 1 of its group; 0 refuses it.
+
+        `work.S` predicted covariance of the group without noise, `work.noise` the model's noise (lower halves),
+        `work.residual` measured minus predicted, `work.used` which are there; `work.scratch` is free.
+        """
 
 
-@generic
-def magnetic(model: Any) -> tuple[int, int, int]:  # type: ignore[empty-body]
-    """Of a model: rows of z (from, end) that come from the magnetometer, and their sensor; (0, 0, 0) without."""
+class PolicyHandle(Record):
+    """A policy to the loop: addresses of its parameters and functions."""
+
+    parameters: Address
+    admit: Address
+    factor: Address
 
 
-@default
-def _admit(policy: Any, model: Any, row: np.ndarray, x: np.ndarray, trust: np.ndarray, used: np.ndarray) -> bool:
-    return False
+POLICY = PolicyHandle.dtype
 
 
-@default
-def _factor(
-    policy: Any,
-    sensor: int,
-    first: int,
-    end: int,
-    S: np.ndarray,
-    noise: np.ndarray,
-    error: np.ndarray,
-    counts: np.ndarray,
-    trust: np.ndarray,
-    scratch: np.ndarray,
-) -> float:
-    return 1.0
+@entry("pppppp", bool)
+def admit(  # type: ignore[empty-body]
+    policy: PolicyHandle, model: Handle, row: Sample, x: np.ndarray, trust: np.ndarray, used: np.ndarray
+) -> bool:
+    """See `Policy.admit`."""
 
 
-@default
-def _disturbed(model: Any) -> tuple[int, int, int]:
-    return 0, 3, 0  # the accelerometer comes first
+@entry("piiipp", float)
+def factor(policy: PolicyHandle, sensor: int, first: int, end: int, trust: np.ndarray, work: Work) -> float:  # type: ignore[empty-body]
+    """See `Policy.factor`."""
 
 
-@default
-def _magnetic(model: Any) -> tuple[int, int, int]:
-    return 0, 0, 0
+@adapts(admit)
+def _admit(m: Any, kernel: Any) -> Any:
+    P, T = m.Parameters.dtype, m.Trust.dtype
+
+    def body(policy, model, row, x, trust, used):  # type: ignore[no-untyped-def]
+        p = record(record(policy, POLICY).parameters, P)
+        refused = kernel(p, record(model, HANDLE), record(row, SAMPLE), vector(x), record(trust, T), flags(used))
+        return 1 if refused else 0
+
+    def nothing(policy, model, row, x, trust, used):  # type: ignore[no-untyped-def]
+        return 0
+
+    return nothing if kernel is None else body
 
 
-@njit
-def first_sensor(model: Any, group: int) -> int:
-    """Number of the first sensor of a group."""
-    count = 0
-    for g in range(group):
-        count += (model.groups[g, ROWS] + 2) // 3
-    return count
+@adapts(factor)
+def _factor(m: Any, kernel: Any) -> Any:
+    P, T = m.Parameters.dtype, m.Trust.dtype
+
+    def body(policy, sensor, first, end, trust, work):  # type: ignore[no-untyped-def]
+        p = record(record(policy, POLICY).parameters, P)
+        return kernel(p, sensor, first, end, record(trust, T), record(work, WORK))
+
+    def one(policy, sensor, first, end, trust, work):  # type: ignore[no-untyped-def]
+        return 1.0
+
+    return one if kernel is None else body
 
 
 @inner
 def weigh(
-    policy: Any,
-    model: Any,
-    group: int,
-    x: np.ndarray,
-    u: np.ndarray,
-    S: np.ndarray,
-    error: np.ndarray,
-    counts: np.ndarray,
-    trust: np.ndarray,
-    noise: np.ndarray,
-    scratch: np.ndarray,
+    policy: PolicyHandle, model: Handle, group: int, x: np.ndarray, u: np.ndarray, trust: np.ndarray, work: Work
 ) -> None:
-    """`noise` (lower half) = noise of a measurement group, as much of it as the policy thinks right, sensor by sensor.
+    """Set `work.noise` (lower half) to a group's noise, as much of it as the policy thinks right, sensor by sensor.
 
-    Elements of `counts` are cleared for a sensor that is refused. The other arguments are those of `factor`.
+    Elements of `work.used` are cleared for a sensor that is refused.
     """
-    rows = model.groups[group, ROWS]
+    rows, noise = model.rows[group], work.noise
     for i in range(rows):
         for j in range(i + 1):
             noise[i, j] = 0.0
     measurement_noise(model, group, x, u, noise)
-    first, sensor = 0, first_sensor(model, group)
+    sensor = 0
+    for g in range(group):
+        sensor += (model.rows[g] + 2) // 3
+    first = 0
     while first < rows:
         end = min(rows, first + 3)
-        share = factor(policy, sensor, first, end, S, noise, error, counts, trust, scratch)
+        share = factor(policy, sensor, first, end, trust, work)
         for i in range(first, end):
             if share == 0.0:
-                counts[i] = False
+                work.used[i] = False
             else:
                 for j in range(first, i + 1):
                     noise[i, j] *= share
         first, sensor = end, sensor + 1
 
 
-class Plain(NamedTuple):
-    """None: every measurement counts as the model says."""
+class BoundPolicy:
+    """A policy with its parameters: the handle by which the loop knows it."""
+
+    def __init__(self, module: ModuleType, parameters: Any) -> None:
+        """Bind the kernels of a policy, compiled or loaded."""
+        self.parameters = parameters
+        fields = {}
+        for called in (admit, factor):
+            kernel = getattr(module, called.__name__, None)
+            fields[called.__name__] = supplied(called, module, kernel, source_key(kernel, "adaptation.plain"))
+        if not JIT:
+            self.handle: Any = Plain(parameters=parameters, **fields)
+        else:
+            self.handle = PolicyHandle.of(parameters=pointer(parameters), **fields)
 
 
-register(Plain)
+def fresh() -> np.ndarray:
+    """What a policy that has seen nothing keeps."""
+    trust = np.zeros(TRUST)
+    trust[:SENSORS] = np.nan
+    return trust

@@ -1,4 +1,4 @@
-"""Fuzzy adaptation of measurement noise to its innovations, sensor by sensor (paper 002, section 2).
+"""Fuzzy adaptation of measurement noise to its innovations, sensor by sensor (Tian 2011, section 2).
 
     C <- (1 - d) C + d a a^T,   d = (1 - b)/(1 - b^(k+1))                       eq. (7), (8)
     ratio = tr(C) / tr(S),   S = H P H^T + R                                     eq. (9)
@@ -11,24 +11,37 @@ the other (groups) gives each its own innovation after the other's correction, w
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
-
-from estimators.adaptation.base import SENSORS
-from estimators.generic import register
+from estimators.adaptation.base import KEPT, Sensors
+from estimators.filters.work import Work
 from estimators.jit import njit
+from estimators.native import Number, Record
+from estimators.settings import Setting
 from estimators.types import Site
 
-_FACTOR, _SMOOTH, _FADE = SENSORS, 2 * SENSORS, 3 * SENSORS  # in `trust`: R's factor (0: none yet), tr(C), b^(k+1)
+SETTINGS = {
+    "fuzzy_memory": Setting(0.98, "fuzzy: b, forgetting of the innovations", minimum=0.9, maximum=0.9999),
+    "fuzzy_lowest": Setting(0.1, "fuzzy: least share of the variance", above=0.0, maximum=1.0),
+    "fuzzy_highest": Setting(1e6, "fuzzy: most, in multiples of the variance", minimum=1.0),
+}
 
 
-class Fuzzy(NamedTuple):
-    """Parameters."""
+class Parameters(Record):
+    """Parameters of the policy."""
 
-    memory: float  # b
-    lowest: float
-    highest: float
+    memory: Number  # b
+    lowest: Number
+    highest: Number
+
+
+class Trust(Record, size=KEPT):
+    """What is kept of each sensor."""
+
+    trusted: Sensors
+    factor: Sensors  # on R; 0: none yet
+    smooth: Sensors  # tr(C)
+    fade: Sensors  # b^(k+1)
 
 
 @njit
@@ -41,40 +54,29 @@ def weight(ratio: float) -> float:
     return 1.2 + 0.5 * (min(ratio, 1.5) - 1.3)
 
 
-def _factor(
-    policy: Any,
-    sensor: int,
-    first: int,
-    end: int,
-    S: np.ndarray,
-    noise: np.ndarray,
-    error: np.ndarray,
-    counts: np.ndarray,
-    trust: np.ndarray,
-    scratch: np.ndarray,
-) -> float:
-    share = trust[_FACTOR + sensor]
+def factor(policy: Parameters, sensor: int, first: int, end: int, trust: Trust, work: Work) -> float:
+    """Adapt the factor of a sensor to its innovation."""
+    share = trust.factor[sensor]
     if share == 0.0:
-        share, trust[_FADE + sensor] = 1.0, 1.0
+        share, trust.fade[sensor] = 1.0, 1.0
     measured, predicted = 0.0, 0.0
     for i in range(first, end):
-        if counts[i]:
-            measured += error[i] * error[i]
-            predicted += S[i, i] + share * noise[i, i]
+        if work.used[i]:
+            measured += work.residual[i] * work.residual[i]
+            predicted += work.S[i, i] + share * work.noise[i, i]
     if predicted > 0.0:
-        trust[_FADE + sensor] *= policy.memory
-        new = (1.0 - policy.memory) / (1.0 - trust[_FADE + sensor])
-        smooth = trust[_SMOOTH + sensor] + new * (measured - trust[_SMOOTH + sensor])
-        trust[_SMOOTH + sensor] = smooth
+        trust.fade[sensor] *= policy.memory
+        new = (1.0 - policy.memory) / (1.0 - trust.fade[sensor])
+        smooth = trust.smooth[sensor] + new * (measured - trust.smooth[sensor])
+        trust.smooth[sensor] = smooth
         share = min(policy.highest, max(policy.lowest, share * weight(smooth / predicted)))
-        trust[_FACTOR + sensor] = share
-        trust[sensor] = 1.0 / share
+        trust.factor[sensor] = share
+        trust.trusted[sensor] = 1.0 / share
     return float(share)
 
 
-register(Fuzzy, factor=_factor)
-
-
-def make(settings: Mapping[str, Any], site: Site) -> Fuzzy:
-    """From the settings `fuzzy_*`."""
-    return Fuzzy(settings["fuzzy_memory"], settings["fuzzy_lowest"], settings["fuzzy_highest"])
+def make(settings: Mapping[str, Any], site: Site) -> Parameters:
+    """Make the parameters from the settings `fuzzy_*`."""
+    return Parameters.of(
+        memory=settings["fuzzy_memory"], lowest=settings["fuzzy_lowest"], highest=settings["fuzzy_highest"]
+    )

@@ -9,24 +9,38 @@ the filter may be the one that is wrong.
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from estimators.adaptation.base import SENSORS
-from estimators.generic import register
+from estimators.adaptation.base import KEPT, Sensors
+from estimators.filters.work import Work
 from estimators.jit import njit
-from estimators.rows import T
+from estimators.models.base import Handle
+from estimators.native import Number, Record
+from estimators.records import Sample
+from estimators.settings import Setting
 from estimators.types import Site
 
-_SINCE, _NOW = SENSORS, 2 * SENSORS  # in `trust`: s, refused since (0: not); s, time of the row (1 s later: 0 is "not")
+SETTINGS = {
+    "gate_sigma": Setting(4.0, "gate: innovations beyond are refused", above=0.0),
+    "gate_patience": Setting(5.0, "s, gate: re-accept a sensor refused continuously for this long", minimum=0.0),
+}
 
 
-class Gate(NamedTuple):
-    """Parameters."""
+class Parameters(Record):
+    """Parameters of the policy."""
 
-    sigma: float
-    patience: float  # s
+    sigma: Number
+    patience: Number  # s
+
+
+class Trust(Record, size=KEPT):
+    """What is kept of each sensor."""
+
+    trusted: Sensors
+    since: Sensors  # s, refused since (0: not)
+    now: Number  # s, time of the row; a second later, so that 0 is "not"
 
 
 @njit
@@ -66,42 +80,31 @@ def distance2(
     return total
 
 
-def _admit(policy: Any, model: Any, row: np.ndarray, x: np.ndarray, trust: np.ndarray, used: np.ndarray) -> bool:
-    trust[_NOW] = row[T] + 1.0
+def admit(policy: Parameters, model: Handle, row: Sample, x: np.ndarray, trust: Trust, used: np.ndarray) -> bool:
+    """Keep the time; refuse nothing yet."""
+    trust.now = row.t + 1.0
     return False
 
 
-def _factor(
-    policy: Any,
-    sensor: int,
-    first: int,
-    end: int,
-    S: np.ndarray,
-    noise: np.ndarray,
-    error: np.ndarray,
-    counts: np.ndarray,
-    trust: np.ndarray,
-    scratch: np.ndarray,
-) -> float:
+def factor(policy: Parameters, sensor: int, first: int, end: int, trust: Trust, work: Work) -> float:
+    """Refuse a sensor whose innovation is too unlikely, for `patience` at most."""
     m = 0
     for i in range(first, end):
-        m += 1 if counts[i] else 0
+        m += 1 if work.used[i] else 0
     if m == 0:
         return 1.0
-    fits = distance2(S, noise, error, counts, first, end, scratch) <= limit(policy.sigma, m)
-    since = trust[_SINCE + sensor]
+    off = distance2(work.S, work.noise, work.residual, work.used, first, end, work.scratch)
+    fits = off <= limit(policy.sigma, m)
+    since = trust.since[sensor]
     if fits:
-        trust[_SINCE + sensor] = 0.0
+        trust.since[sensor] = 0.0
     elif since == 0.0:
-        trust[_SINCE + sensor] = since = trust[_NOW]
-    refused = not fits and trust[_NOW] - since < policy.patience
-    trust[sensor] = 0.0 if refused else 1.0
+        trust.since[sensor] = since = trust.now
+    refused = not fits and trust.now - since < policy.patience
+    trust.trusted[sensor] = 0.0 if refused else 1.0
     return 0.0 if refused else 1.0
 
 
-register(Gate, admit=_admit, factor=_factor)
-
-
-def make(settings: Mapping[str, Any], site: Site) -> Gate:
-    """From the settings `gate_*`."""
-    return Gate(settings["gate_sigma"], settings["gate_patience"])
+def make(settings: Mapping[str, Any], site: Site) -> Parameters:
+    """Make the parameters from the settings `gate_*`."""
+    return Parameters.of(sigma=settings["gate_sigma"], patience=settings["gate_patience"])

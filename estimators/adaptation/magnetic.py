@@ -12,69 +12,86 @@ is the field that says where north is.
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from estimators.adaptation.base import SENSORS, magnetic
-from estimators.generic import register
+from estimators.adaptation.base import KEPT, Sensors
+from estimators.models.base import Handle
+from estimators.native import Flag, Number, Record, local
+from estimators.records import Sample
 from estimators.rotations import to_nav, wrap
-from estimators.rows import MAG, T
+from estimators.settings import Setting
 from estimators.types import Site
 
-# in `trust`: s, refused since (0: not) and last seen disturbed (0: never), both a second later, so that 0 is free;
-# 1 once the field has fitted
-_SINCE, _BAD, _FITTED = SENSORS, SENSORS + 1, SENSORS + 2
+SETTINGS = {
+    "magnetic_norm": Setting(0.06, "magnetic: allowed relative error of the field's strength", above=0.0),
+    "magnetic_dip": Setting(0.07, "rad, magnetic: allowed error of its dip", above=0.0),
+    "magnetic_turn": Setting(
+        0.12, "rad, magnetic: allowed error of its direction against the heading carried by the gyro", above=0.0
+    ),
+    "magnetic_hold": Setting(1.0, "s, magnetic: refused this long after the last disturbance", minimum=0.0),
+    "magnetic_patience": Setting(
+        30.0, "s, magnetic: re-accept a field refused continuously for this long", minimum=0.0
+    ),
+}
 
 
-class Magnetic(NamedTuple):
+class Parameters(Record):
     """Limits, and the field they are about."""
 
-    norm: float  # relative
-    dip: float  # rad
-    turn: float  # rad
-    hold: float  # s
-    patience: float  # s
-    strength: float  # T
-    down: float  # rad, dip of the local field
-    azimuth: float  # rad, its declination
+    norm: Number  # relative
+    dip: Number  # rad
+    turn: Number  # rad
+    hold: Number  # s
+    patience: Number  # s
+    strength: Number  # T
+    down: Number  # rad, dip of the local field
+    azimuth: Number  # rad, its declination
 
 
-def _admit(policy: Any, model: Any, row: np.ndarray, x: np.ndarray, trust: np.ndarray, used: np.ndarray) -> bool:
-    first, end, sensor = magnetic(model)
+class Trust(Record, size=KEPT):
+    """What is kept. Times are a second later than they are, so that 0 is free."""
+
+    trusted: Sensors
+    since: Number  # s, refused since (0: not)
+    bad: Number  # s, last seen disturbed (0: never)
+    fitted: Flag  # the field has fitted once
+
+
+def admit(policy: Parameters, model: Handle, row: Sample, x: np.ndarray, trust: Trust, used: np.ndarray) -> bool:
+    """Refuse a field whose norm, dip or azimuth is not the Earth's."""
+    first, end, sensor = model.magnetic[0], model.magnetic[1], model.magnetic[2]
     there = end > first
     for i in range(first, end):
-        there = there and used[i]
+        there = there and used[i] != 0
     if not there:
         return False
-    m, now = np.empty(3), row[T] + 1.0
-    to_nav(x, row[MAG], row[MAG + 1], row[MAG + 2], m)
+    m, now = local(3), row.t + 1.0
+    to_nav(x, row.mag_b[0], row.mag_b[1], row.mag_b[2], m)
     level = math.hypot(m[0], m[1])
     off = abs(math.hypot(level, m[2]) / policy.strength - 1.0) > policy.norm
     off |= abs(math.atan2(m[2], level) - policy.down) > policy.dip
     off |= abs(wrap(math.atan2(m[1], m[0]) - policy.azimuth)) > policy.turn
     if off:
-        trust[_BAD] = now
-    elif trust[_BAD] == 0.0 or now - trust[_BAD] >= policy.hold:
-        trust[_FITTED], trust[_SINCE] = 1.0, 0.0
-    disturbed = trust[_FITTED] == 1.0 and trust[_BAD] > 0.0 and now - trust[_BAD] < policy.hold
-    if disturbed and trust[_SINCE] == 0.0:
-        trust[_SINCE] = now
-    refused = bool(disturbed and now - trust[_SINCE] < policy.patience)
-    trust[sensor] = 0.0 if refused else 1.0
+        trust.bad = now
+    elif trust.bad == 0.0 or now - trust.bad >= policy.hold:
+        trust.fitted, trust.since = True, 0.0
+    disturbed = trust.fitted and trust.bad > 0.0 and now - trust.bad < policy.hold
+    if disturbed and trust.since == 0.0:
+        trust.since = now
+    refused = disturbed and now - trust.since < policy.patience
+    trust.trusted[sensor] = 0.0 if refused else 1.0
     for i in range(first, end):
         used[i] = not refused
     return refused
 
 
-register(Magnetic, admit=_admit)
-
-
-def make(settings: Mapping[str, Any], site: Site) -> Magnetic:
-    """From the settings `magnetic_*` and the local field."""
+def make(settings: Mapping[str, Any], site: Site) -> Parameters:
+    """Make the parameters from the settings `magnetic_*` and the local field."""
     north, east, down = site.mag_n
     level = math.hypot(north, east)
-    return Magnetic(
+    return Parameters.of(
         norm=settings["magnetic_norm"],
         dip=settings["magnetic_dip"],
         turn=settings["magnetic_turn"],

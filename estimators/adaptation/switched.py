@@ -1,4 +1,4 @@
-"""Switch: a measurement that turning or accelerating falsifies is left out (paper 004 eq. (23), paper 001 section 3.1).
+"""Switch: leave out what turning or accelerating falsifies (Yao 2012, eq. (23); Zhao 2015, section 3.1).
 
     |w_z| > turn_rate   or   | |f|/g - 1 | > accel   :   the gain is zero, the gyro carries the attitude
 
@@ -7,41 +7,46 @@ What is falsified is the model's business (`disturbed`): the accelerometer as a 
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from estimators.adaptation.base import disturbed
-from estimators.generic import register
-from estimators.rows import ACCEL, GYRO
+from estimators.adaptation.base import Trust
+from estimators.models.base import Handle
+from estimators.native import Number, Record
+from estimators.records import Sample
+from estimators.settings import Setting
 from estimators.types import Site
 
+SETTINGS = {
+    "switch_turn_rate": Setting(math.radians(2.0), "rad/s, switched: turning above it", above=0.0),
+    "switch_accel": Setting(0.02, "switched: accelerating when |f|/g is further than that from 1", above=0.0),
+}
 
-class Switched(NamedTuple):
+
+class Parameters(Record):
     """Thresholds."""
 
-    turn_rate: float  # rad/s, a of the papers
-    accel: float  # b of paper 004, in parts of gravity
-    gravity: float  # m/s2
+    turn_rate: Number  # rad/s, a of the papers
+    accel: Number  # b of Yao 2012, in parts of gravity
+    gravity: Number  # m/s2
 
 
-def _admit(policy: Any, model: Any, row: np.ndarray, x: np.ndarray, trust: np.ndarray, used: np.ndarray) -> bool:
-    x, y, z = row[ACCEL], row[ACCEL + 1], row[ACCEL + 2]
-    off = abs(math.sqrt(x * x + y * y + z * z) / policy.gravity - 1.0) > policy.accel
-    off |= abs(row[GYRO + 2]) > policy.turn_rate
-    first, end, sensor = disturbed(model)
+def admit(policy: Parameters, model: Handle, row: Sample, x: np.ndarray, trust: Trust, used: np.ndarray) -> bool:
+    """Refuse what the vehicle's turning or accelerating falsifies."""
+    f = row.accel_b
+    off = abs(math.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]) / policy.gravity - 1.0) > policy.accel
+    off |= abs(row.gyro_b[2]) > policy.turn_rate
+    first, end, sensor = model.disturbed[0], model.disturbed[1], model.disturbed[2]
     refused = False
     for i in range(first, end):
         if used[i]:
-            trust[sensor] = 0.0 if off else 1.0
+            trust.trusted[sensor] = 0.0 if off else 1.0
             refused |= off
             used[i] = not off
     return refused
 
 
-register(Switched, admit=_admit)
-
-
-def make(settings: Mapping[str, Any], site: Site) -> Switched:
-    """From the settings `switch_*`."""
-    return Switched(settings["switch_turn_rate"], settings["switch_accel"], site.gravity)
+def make(settings: Mapping[str, Any], site: Site) -> Parameters:
+    """Make the parameters from the settings `switch_*`."""
+    return Parameters.of(turn_rate=settings["switch_turn_rate"], accel=settings["switch_accel"], gravity=site.gravity)

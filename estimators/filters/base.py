@@ -1,118 +1,259 @@
 """What a filter supplies: how a mean and a covariance go through a nonlinear function.
 
-A filter is a `NamedTuple` of its parameters with `predict` and `project` registered for its type. All else (measurement
-noise, adaptation, recovery) is the same for every filter and lives in `estimators.run`. What a filter keeps of its
-covariance is its own business: P itself unless it registers `stored`, `covariance` and `correct` (`square_root`).
+A filter is a module with a record `Parameters` and kernels, see `Filter`; `USES` names the entries of a model that it
+calls beside those of the loop. Measurement noise, adaptation and recovery are the same for every filter (here and in
+`estimators.run`). What a filter keeps of its covariance is its own business: P itself unless it has `stored`,
+`reported` and `correct` of its own (`square_root`); how a group changes x and P as well: once, unless it has `update`
+(`iekf`, which looks again).
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any, Protocol
 
 import numpy as np
 
-from estimators.generic import default, generic
-from estimators.linalg import condition
-from estimators.models.base import READ, ROWS, changed, read, size
+from estimators.adaptation.base import POLICY, PolicyHandle, weigh
+from estimators.filters import moments
+from estimators.filters.work import WORK, Work
+from estimators.jit import JIT
+from estimators.models.base import (
+    ALWAYS,
+    HANDLE,
+    Handle,
+    observe,
+    report,
+    residual,
+    retract,
+    slope,
+)
+from estimators.native import (
+    Address,
+    Plain,
+    Record,
+    adapts,
+    entry,
+    matrix,
+    pointer,
+    record,
+    source_key,
+    supplied,
+    vector,
+)
+from estimators.records import ESTIMATE, Estimate
 
 
-class Work(NamedTuple):
-    """Memory of one filter step, so that no step allocates."""
+class Filter(Protocol):
+    """The kernels of a filter.
 
-    x: np.ndarray  # (raw,) a state
-    point: np.ndarray  # (raw,) a sigma point
-    moved: np.ndarray  # (raw,) a propagated sigma point
-    dx: np.ndarray  # (n,) an error
-    L: np.ndarray  # (read, n) leading columns of the Cholesky factor, one to a row
-    odd: np.ndarray  # (read, rows) f(+) - f(-) per sigma point pair
-    even: np.ndarray  # (read, rows) f(+) + f(-) - 2 f(0)
-    shift: np.ndarray  # (rows,) mean minus f(0)
-    plus: np.ndarray  # (rows,)
-    minus: np.ndarray  # (rows,)
-    J: np.ndarray  # (rows, n) a Jacobian
-    T: np.ndarray  # (rows, n) its product with P
-    S: np.ndarray  # (rows, rows) covariance of the measurements
-    noise: np.ndarray  # (rows, rows) measurement noise as the adaptation weighs it, lower half
-    scratch: np.ndarray  # (rows, rows) of the adaptation
-    C: np.ndarray  # (rows, n) covariance of measurements and state
-    y: np.ndarray  # (rows,) predicted measurements
-    measured: np.ndarray  # (rows,)
-    residual: np.ndarray  # (rows,)
-    variance: np.ndarray  # (rows,)
-    used: np.ndarray  # (rows,) bool
-    Q: np.ndarray  # (n, n) process noise     }
-    A: np.ndarray  # columns to be compressed } of square-root filters
-    P: np.ndarray  # (n, n) covariance        }
+    `method` is its record `Parameters`, `model` a handle (`models.base`), x a state, P what the filter keeps of its
+    covariance, u the inputs, `work` memory whose contents last for a row.
+    """
 
-    @classmethod
-    def make(cls, model: Any, raw: int) -> "Work":
-        """Memory for a model with `raw` numbers in its state."""
-        n = size(model)
-        columns = max(read(model), int(model.groups[:, READ].max()))
-        rows = max(changed(model), int(model.groups[:, ROWS].max()))
+    Parameters: type[Record]
+    USES: tuple[Any, ...]
 
-        def zeros(*shape: int) -> np.ndarray:
-            return np.zeros(shape)
+    def predict(
+        self, method: Record, model: Handle, x: np.ndarray, P: np.ndarray, u: np.ndarray, dt: float, work: Work
+    ) -> bool:
+        """Move x and P by dt seconds (s), process noise included; False when P is not positive."""
 
-        return cls(
-            x=zeros(raw), point=zeros(raw), moved=zeros(raw), dx=zeros(n), L=zeros(columns, n),
-            odd=zeros(columns, rows), even=zeros(columns, rows), shift=zeros(rows), plus=zeros(rows), minus=zeros(rows),
-            J=zeros(rows, n), T=zeros(rows, n), S=zeros(rows, rows), noise=zeros(rows, rows), scratch=zeros(rows, rows),
-            C=zeros(rows, n), y=zeros(rows), measured=zeros(rows), residual=zeros(rows), variance=zeros(rows),
-            used=np.zeros(rows, bool), Q=zeros(n, n), A=zeros(rows + n, n + columns + 1 + max(n, rows)), P=zeros(n, n),
-        )  # fmt: skip
+    def project(
+        self, method: Record, model: Handle, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work
+    ) -> bool:
+        """Joint moments of a measurement group and the state, without measurement noise.
+
+        `work.y[:rows]` mean, `work.S[:rows, :rows]` covariance (lower half), `work.C[:rows]` covariance with the state
+        (of that only what the filter's own `correct` reads).
+        """
+
+    def correct(self, method: Record, model: Handle, group: int, P: np.ndarray, work: Work) -> bool:
+        """Condition P on the measurements of a group that count, after `project`; False when that is impossible.
+
+        Takes `work.noise`, `work.residual` and `work.used`; leaves the correction in `work.dx`, independent innovations
+        in `work.residual` and their variances in `work.variance`.
+        """
+
+    def update(
+        self, own: "FilterHandle", policy: PolicyHandle, model: Handle, group: int, x: np.ndarray, P: np.ndarray,
+        u: np.ndarray, trust: np.ndarray, work: Work,
+    ) -> bool:  # fmt: skip
+        """Correct x and P by a measurement group, z in `work.measured`, where `work.used`; R by `weigh`.
+
+        `own` is the filter as entries know it. Leaves independent innovations in `work.residual`, their variances in
+        `work.variance`.
+        """
+
+    def reported(
+        self, method: Record, model: Handle, x: np.ndarray, P: np.ndarray, work: Work, answer: Estimate
+    ) -> None:
+        """Call the model's `report` with the covariance of x."""
+
+    def stored(self, P: np.ndarray) -> np.ndarray:
+        """What the filter keeps of a covariance P (n, n), itself (n, n); plain Python."""
 
 
-@generic
+class FilterHandle(Record):
+    """A filter to the loop: addresses of its parameters and functions."""
+
+    parameters: Address
+    predict: Address
+    project: Address
+    correct: Address
+    update: Address
+    reported: Address
+
+
+METHOD = FilterHandle.dtype
+
+
+@entry("pppppfp", bool)
 def predict(  # type: ignore[empty-body]
-    method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarray, dt: float, work: Work
+    method: FilterHandle, model: Handle, x: np.ndarray, P: np.ndarray, u: np.ndarray, dt: float, work: Work
 ) -> bool:
-    """Move x and P by dt seconds, process noise included; False when P is not positive."""
+    """See `Filter.predict`."""
 
 
-@generic
+@entry("ppipppp", bool)
 def project(  # type: ignore[empty-body]
-    method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work
+    method: FilterHandle, model: Handle, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work
 ) -> bool:
-    """Joint moments of a measurement group and the state, without measurement noise.
-
-    `work.y[:rows]` mean, `work.S[:rows, :rows]` covariance (lower half), `work.C[:rows]` covariance with the state
-    (of that only what the filter's own `correct` reads).
-    """
+    """See `Filter.project`."""
 
 
-@generic
-def correct(method: Any, model: Any, group: int, P: np.ndarray, work: Work) -> bool:  # type: ignore[empty-body]
-    """Condition P on the measurements of a group that count, after `project`; False when that is impossible.
-
-    Takes `work.noise`, `work.residual` and `work.used`; leaves the correction in `work.dx`, independent innovations in
-    `work.residual` and their variances in `work.variance`.
-    """
+@entry("ppipp", bool)
+def correct(method: FilterHandle, model: Handle, group: int, P: np.ndarray, work: Work) -> bool:  # type: ignore[empty-body]
+    """See `Filter.correct`."""
 
 
-@generic
-def stored(method: Any, P: np.ndarray) -> np.ndarray:  # type: ignore[empty-body]
-    """What the filter keeps of a covariance P (n, n), itself (n, n)."""
+@entry("pppippppp", bool)
+def update(  # type: ignore[empty-body]
+    method: FilterHandle, policy: PolicyHandle, model: Handle, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray,
+    trust: np.ndarray, work: Work,
+) -> bool:  # fmt: skip
+    """See `Filter.update`."""
 
 
-@generic
-def covariance(method: Any, P: np.ndarray, work: Work) -> np.ndarray:  # type: ignore[empty-body]
-    """The covariance (n, n) from what the filter keeps."""
+@entry("pppppp")
+def reported(method: FilterHandle, model: Handle, x: np.ndarray, P: np.ndarray, work: Work, answer: Estimate) -> None:
+    """See `Filter.reported`."""
 
 
-@default
-def _correct(method: Any, model: Any, group: int, P: np.ndarray, work: Work) -> bool:
-    rows, S, noise = model.groups[group, ROWS], work.S, work.noise
-    for i in range(rows):
-        for j in range(i + 1):
-            S[i, j] += noise[i, j]
-    ok: bool = condition(size(model), rows, S, work.C, P, work.residual, work.used, work.variance, work.dx)
+@adapts(predict)
+def _predict(m: Any, kernel: Any) -> Any:
+    M = m.Parameters.dtype
+
+    def body(method, model, x, P, u, dt, work):  # type: ignore[no-untyped-def]
+        p = record(record(method, METHOD).parameters, M)
+        ok = kernel(p, record(model, HANDLE), vector(x), matrix(P), vector(u), dt, record(work, WORK))
+        return 1 if ok else 0
+
+    return body
+
+
+@adapts(project)
+def _project(m: Any, kernel: Any) -> Any:
+    M = m.Parameters.dtype
+
+    def body(method, model, group, x, P, u, work):  # type: ignore[no-untyped-def]
+        p = record(record(method, METHOD).parameters, M)
+        ok = kernel(p, record(model, HANDLE), group, vector(x), matrix(P), vector(u), record(work, WORK))
+        return 1 if ok else 0
+
+    return body
+
+
+@adapts(correct)
+def _correct(m: Any, kernel: Any) -> Any:
+    M = m.Parameters.dtype
+
+    def body(method, model, group, P, work):  # type: ignore[no-untyped-def]
+        p = record(record(method, METHOD).parameters, M)
+        return 1 if kernel(p, record(model, HANDLE), group, matrix(P), record(work, WORK)) else 0
+
+    def plain(method, model, group, P, work):  # type: ignore[no-untyped-def]
+        return 1 if moments.condition(record(model, HANDLE), group, matrix(P), record(work, WORK)) else 0
+
+    return plain if kernel is None else body
+
+
+@adapts(update)
+def _update(m: Any, kernel: Any) -> Any:
+    def body(method, policy, model, group, x, P, u, trust, work):  # type: ignore[no-untyped-def]
+        ok = kernel(
+            record(method, METHOD), record(policy, POLICY), record(model, HANDLE), group, vector(x), matrix(P),
+            vector(u), vector(trust), record(work, WORK),
+        )  # fmt: skip
+        return 1 if ok else 0
+
+    return body
+
+
+def _once(
+    own: FilterHandle, policy: PolicyHandle, model: Handle, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray,
+    trust: np.ndarray, work: Work,
+) -> bool:  # fmt: skip
+    """Update by a measurement group as any Kalman filter does, whatever the moments come from."""
+    ok = project(own, model, group, x, P, u, work)
+    residual(model, group, 1, work.measured, work.y, work.residual)
+    weigh(policy, model, group, x, u, trust, work)
+    ok &= correct(own, model, group, P, work)
+    retract(model, 1, x, work.dx, work.x)
+    for i in range(model.raw):
+        x[i] = work.x[i]
     return ok
 
 
-@default
-def _stored(method: Any, P: np.ndarray) -> np.ndarray:
-    return P
+@adapts(reported)
+def _reported(m: Any, kernel: Any) -> Any:
+    M = m.Parameters.dtype
+
+    def body(method, model, x, P, work, answer):  # type: ignore[no-untyped-def]
+        p = record(record(method, METHOD).parameters, M)
+        kernel(p, record(model, HANDLE), vector(x), matrix(P), record(work, WORK), record(answer, ESTIMATE))
+
+    def plain(method, model, x, P, work, answer):  # type: ignore[no-untyped-def]
+        report(record(model, HANDLE), vector(x), matrix(P), record(answer, ESTIMATE))
+
+    return plain if kernel is None else body
 
 
-@default
-def _covariance(method: Any, P: np.ndarray, work: Work) -> np.ndarray:
-    return P
+def project_linear(
+    method: Record, model: Handle, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work
+) -> bool:
+    """`y = h(x)`, `C = H P`, `S = H P H^T`: exact for a linear group, so every filter uses it there."""
+    observe(model, group, 1, x, u, work.y)
+    slope(model, group, x, u, work.J)
+    moments.project_slope(model, group, P, work)
+    return True
+
+
+_DEFAULT: dict[Any, Any] = {update: _once}
+_ENTRIES = (predict, project, correct, update, reported)
+
+
+class Method:
+    """A filter with its parameters: the handle by which the loop knows it."""
+
+    def __init__(self, module: ModuleType, parameters: Any) -> None:
+        """Bind the kernels of a filter, compiled or loaded."""
+        self.module, self.parameters = module, parameters
+        fields = {}
+        for called in _ENTRIES:
+            kernel = getattr(module, called.__name__, None)
+            key = source_key(kernel, "filters.plain")
+            fields[called.__name__] = supplied(called, module, kernel or _DEFAULT.get(called), key)
+        if not JIT:
+            self.handle: Any = Plain(parameters=parameters, **fields)
+        else:
+            self.handle = FilterHandle.of(parameters=pointer(parameters), **fields)
+
+    @property
+    def entries(self) -> tuple[Any, ...]:
+        """The entries of a model that it needs."""
+        return tuple(dict.fromkeys((*ALWAYS, *self.module.USES)))
+
+    def stored(self, P: np.ndarray) -> np.ndarray:
+        """What the filter keeps of a covariance P (n, n), itself (n, n)."""
+        stored: Callable[[np.ndarray], np.ndarray] | None = getattr(self.module, "stored", None)
+        return P if stored is None else stored(P)

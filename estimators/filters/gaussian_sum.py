@@ -7,14 +7,15 @@ after a few good measurements those of wrong terms are smaller than the smallest
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from estimators.filters.base import Work, predict, project
+from estimators.filters.base import FilterHandle, correct, predict, project
+from estimators.filters.work import Work
 from estimators.jit import njit
-from estimators.linalg import condition, healthy, leading_cholesky
-from estimators.models.base import ROWS, START, constrain, measurement_noise, residual, retract, size
+from estimators.linalg import healthy, leading_cholesky
+from estimators.models.base import Handle, constrain, measurement_noise, residual, retract
 
 
 class Bank(NamedTuple):
@@ -40,35 +41,39 @@ class Bank(NamedTuple):
 
 @njit
 def _update(
-    method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray, work: Work
-) -> float:
+    method: FilterHandle, model: Handle, x: np.ndarray, P: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray,
+    work: Work,
+) -> float:  # fmt: skip
     """Condition one term on a row of measurements; returns its log likelihood, eq. (27), -inf when the term is lost."""
     likelihood = 0.0
-    for g in range(model.groups.shape[0]):
-        start, rows = model.groups[g, START], model.groups[g, ROWS]
+    for g in range(model.groups):
+        start, rows = model.start[g], model.rows[g]
         any_used = False
         for i in range(rows):
             work.used[i] = used[start + i]
-            any_used |= work.used[i]
+            any_used |= used[start + i]
             work.measured[i] = z[start + i]
         if not any_used:
             continue
         if not project(method, model, g, x, P, u, work):
             return -math.inf
-        measurement_noise(model, g, x, u, work.S)
-        residual(model, g, work.measured, work.y, work.residual)
-        if not condition(size(model), rows, work.S, work.C, P, work.residual, work.used, work.variance, work.dx):
+        for i in range(rows):
+            for j in range(i + 1):
+                work.noise[i, j] = 0.0
+        measurement_noise(model, g, x, u, work.noise)
+        residual(model, g, 1, work.measured, work.y, work.residual)
+        if not correct(method, model, g, P, work):
             return -math.inf
         for i in range(rows):
-            if work.used[i]:  # independent innovations: their densities multiply
+            if work.used[i] != 0:  # independent innovations: their densities multiply
                 likelihood -= 0.5 * (
                     work.residual[i] ** 2 / work.variance[i] + math.log(2 * math.pi * work.variance[i])
                 )
-        retract(model, x, work.dx, work.x)
-        for i in range(x.shape[0]):
+        retract(model, 1, x, work.dx, work.x)
+        for i in range(model.raw):
             x[i] = work.x[i]
     constrain(model, x)
-    return likelihood if healthy(x, P) else -math.inf
+    return likelihood if healthy(model.raw, x, model.size, P) else -math.inf
 
 
 @njit
@@ -90,18 +95,27 @@ def normalise_weights(bank: Bank) -> bool:
 
 @njit
 def step(
-    method: Any, model: Any, bank: Bank, work: Work, u: np.ndarray, z: np.ndarray, used: np.ndarray, dt: float
-) -> bool:
+    method: FilterHandle, model: Handle, bank: Bank, work: Work, u: np.ndarray, z: np.ndarray, used: np.ndarray,
+    dt: float,
+) -> bool:  # fmt: skip
     """Predict every term by dt seconds (not when dt is zero), condition it on z (rows,) where `used`, weigh it.
 
     A term that is numerically lost gets no weight. Returns False when all are: the bank is then void.
     """
-    for i in range(bank.alive[0]):
-        x, P = bank.x[i], bank.P[i]
+    x, P, n = work.before, work.P, bank.x.shape[1]  # a term, as filters take it
+    for term in range(bank.alive[0]):
+        for i in range(n):
+            x[i] = bank.x[term, i]
+            for j in range(n):
+                P[i, j] = bank.P[term, i, j]
         if dt > 0.0 and not predict(method, model, x, P, u, dt, work):
-            bank.log_weight[i] = -math.inf
+            bank.log_weight[term] = -math.inf
             continue
-        bank.log_weight[i] += _update(method, model, x, P, u, z, used, work)
+        bank.log_weight[term] += _update(method, model, x, P, u, z, used, work)
+        for i in range(n):
+            bank.x[term, i] = x[i]
+            for j in range(n):
+                bank.P[term, i, j] = P[i, j]
     return bool(normalise_weights(bank))
 
 

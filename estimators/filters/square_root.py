@@ -10,41 +10,20 @@ the columns of a matrix A with A A^T = P, and A is compressed to a square by ort
 with the pairs d_i, s_i and delta of `points` and e_i = sqrt(even) (s_i - mean of s), r^2 = 4 h^4 even/columns + square:
 the sums of `points` without a negative weight (r^2 is at least 0 for the CKF and the CDKF, and for the UKF whenever
 kappa is), so nothing is ever subtracted and P cannot become indefinite. Rounding counts half the digits: variances may
-span 1e24 where the plain form has 1e12. `carry.P` holds S.
+span 1e24 where the plain form has 1e12. `Carry.P` holds S.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
-from estimators.filters.base import Work
-from estimators.filters.cdkf import cdkf
-from estimators.filters.ckf import ckf
-from estimators.filters.points import Points, observe_points, propagate_points
-from estimators.filters.ukf import ukf
-from estimators.generic import register
+from estimators.filters.points import Parameters, observe_points, propagate_points, rule
+from estimators.filters.work import Work
 from estimators.jit import inner, njit
-from estimators.models.base import LINEAR, READ, ROWS, changed, observe, process_noise, read, size, slope
+from estimators.models.base import Handle, difference, observe, process_noise, propagate, report, slope
+from estimators.records import Estimate
 
-
-class RootPoints(Points):
-    """A filter of `points` in this form."""
-
-
-def srckf() -> RootPoints:
-    """`ckf` in this form."""
-    return RootPoints(*ckf())
-
-
-def srcdkf(h: float = 3.0**0.5) -> RootPoints:
-    """`cdkf` in this form."""
-    return RootPoints(*cdkf(h))
-
-
-def srukf(alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0) -> RootPoints:
-    """`ukf` in this form."""
-    return RootPoints(*ukf(alpha, beta, kappa))
+USES = (propagate, difference, observe, slope)
 
 
 @njit
@@ -116,13 +95,17 @@ def _centre(s: np.ndarray, shift: np.ndarray, columns: int, rows: int, h: float,
     return r2 > -1e-9
 
 
-def _predict(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarray, dt: float, work: Work) -> bool:
-    n, moved, columns = size(model), changed(model), read(model)
+def predict(
+    method: Parameters, model: Handle, x: np.ndarray, P: np.ndarray, u: np.ndarray, dt: float, work: Work
+) -> bool:
+    """Time update: propagate the points, then compress their columns and those of the process noise."""
+    n, moved, columns = model.size, model.changed, model.read
     L, d, e, shift, A, Q = work.L, work.odd, work.even, work.shift, work.A, work.Q
     for i in range(n):
         for j in range(columns):
             L[j, i] = P[i, j]
-    h, even, square = propagate_points(method, model, x, u, dt, work)
+    h, even, square = rule(method, n)
+    propagate_points(model, h, x, u, dt, work)
     ok: bool = _centre(e, shift, columns, moved, h, even, square)
     for i in range(n):
         for j in range(n):
@@ -140,25 +123,36 @@ def _predict(method: Any, model: Any, x: np.ndarray, P: np.ndarray, u: np.ndarra
     return ok
 
 
-def _project(method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work) -> bool:
-    n, rows, columns = size(model), model.groups[group, ROWS], model.groups[group, READ]
+@inner
+def _linear_columns(model: Handle, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work) -> None:
+    """Columns `H S e_i` of a linear group in `work.odd`, nothing in the others."""
+    rows, columns, d = model.rows[group], model.end[group], work.odd
+    observe(model, group, 1, x, u, work.y)
+    slope(model, group, x, u, work.J)
+    for a in range(rows):
+        work.shift[a] = 0.0
+        for i in range(columns):
+            total = 0.0
+            for k in range(max(i, model.first[group]), columns):
+                total += work.J[a, k] * P[k, i]
+            d[i, a], work.even[i, a] = total, 0.0
+
+
+def project(
+    method: Parameters, model: Handle, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work
+) -> bool:
+    """Columns of the measurement update without noise, in `work.odd`, `work.even` and `work.shift`, and their S."""
+    n, rows, columns = model.size, model.rows[group], model.end[group]
     L, d, e, shift, S = work.L, work.odd, work.even, work.shift, work.S
     ok = True
-    if model.groups[group, LINEAR] == 1:
-        observe(model, group, x, u, work.y)
-        slope(model, group, x, u, work.J)
-        for a in range(rows):
-            shift[a] = 0.0
-            for i in range(columns):
-                total = 0.0
-                for k in range(max(i, model.groups[group, 2]), columns):
-                    total += work.J[a, k] * P[k, i]
-                d[i, a], e[i, a] = total, 0.0
+    if model.linear[group] != 0:
+        _linear_columns(model, group, x, P, u, work)
     else:
         for i in range(n):
             for j in range(columns):
                 L[j, i] = P[i, j]
-        h, even, square = observe_points(method, model, group, x, u, work)
+        h, even, square = rule(method, n)
+        observe_points(model, group, h, x, u, work)
         ok = _centre(e, shift, columns, rows, h, even, square)
         for a in range(rows):
             for i in range(columns):
@@ -172,62 +166,69 @@ def _project(method: Any, model: Any, group: int, x: np.ndarray, P: np.ndarray, 
     return ok
 
 
-def _correct(method: Any, model: Any, group: int, P: np.ndarray, work: Work) -> bool:
-    n, rows, columns = size(model), model.groups[group, ROWS], model.groups[group, READ]
-    A, d, e, shift, counts = work.A, work.odd, work.even, work.shift, work.used
-    error, variance, dx, noise, S = work.residual, work.variance, work.dx, work.noise, work.S
+@inner
+def _gather(model: Handle, group: int, P: np.ndarray, work: Work) -> int:
+    """`work.A` = the matrix of the measurement update, for the measurements that count; returns their number."""
+    n, rows, columns = model.size, model.rows[group], model.end[group]
+    A, S = work.A, work.S
     q = 0
     for a in range(rows):
-        if counts[a]:
+        if work.used[a]:
             for i in range(n):
-                A[q, i] = d[i, a] if i < columns else 0.0
+                A[q, i] = work.odd[i, a] if i < columns else 0.0
             for i in range(columns):
-                A[q, n + i] = e[i, a]
-            A[q, n + columns] = shift[a]
+                A[q, n + i] = work.even[i, a]
+            A[q, n + columns] = work.shift[a]
             p = 0
             for b in range(a + 1):
-                if counts[b]:
-                    S[q, p] = noise[a, b]
+                if work.used[b]:
+                    S[q, p] = work.noise[a, b]
                     p += 1
             q += 1
     append_root(S, q, A, n + columns + 1)
     for i in range(n):
-        dx[i] = 0.0
         for j in range(n):
             A[q + i, j] = P[i, j]
         for j in range(n, n + columns + 1 + q):
             A[q + i, j] = 0.0
-    triangularise(A, q + n, n + columns + 1 + q)
+    return q
+
+
+def correct(method: Parameters, model: Handle, group: int, P: np.ndarray, work: Work) -> bool:
+    """Compress the columns; K and S_y of the triangle give the correction."""
+    n, rows, A, error = model.size, model.rows[group], work.A, work.residual
+    q = _gather(model, group, P, work)
+    triangularise(A, q + n, n + model.end[group] + 1 + q)
+    for i in range(n):
+        work.dx[i] = 0.0
     k, ok = 0, True
     for a in range(rows):
-        if counts[a]:
+        if work.used[a]:
             left, p = error[a], 0
             for b in range(a):
-                if counts[b]:
+                if work.used[b]:
                     left -= A[k, p] * error[b] / A[p, p]
                     p += 1
             ok &= abs(A[k, k]) > 0.0
-            error[a], variance[a] = left, A[k, k] * A[k, k]
+            error[a], work.variance[a] = left, A[k, k] * A[k, k]
             for i in range(n):
-                dx[i] += A[q + i, k] * left / A[k, k]
+                work.dx[i] += A[q + i, k] * left / A[k, k]
             k += 1
     _take_factor(A, q, q, n, P)
     return ok
 
 
-def _stored(method: Any, P: np.ndarray) -> np.ndarray:
+def stored(P: np.ndarray) -> np.ndarray:
+    """The factor S of a covariance (n, n)."""
     return np.linalg.cholesky(P)
 
 
-def _covariance(method: Any, P: np.ndarray, work: Work) -> np.ndarray:
-    out = work.P
-    for i in range(P.shape[0]):
+def reported(method: Parameters, model: Handle, x: np.ndarray, P: np.ndarray, work: Work, answer: Estimate) -> None:
+    """Report with S S^T."""
+    for i in range(model.size):
         for j in range(i + 1):
             total = 0.0
             for k in range(j + 1):
                 total += P[i, k] * P[j, k]
-            out[i, j] = out[j, i] = total
-    return out
-
-
-register(RootPoints, predict=_predict, project=_project, correct=_correct, stored=_stored, covariance=_covariance)
+            work.P[i, j] = work.P[j, i] = total
+    report(model, x, work.P, answer)

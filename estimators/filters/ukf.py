@@ -1,4 +1,4 @@
-"""Unscented Kalman filter (Julier and Uhlmann 2004; paper 001 eq. (14)-(26)).
+"""Unscented Kalman filter (Julier and Uhlmann 2004; Zhao 2015, eq. (14)-(26)).
 
 2n+1 points `x, x +- h S e_i` with h^2 = n + lambda = alpha^2 (n + kappa) and weights 1/(2 h^2), lambda/h^2 at the
 centre, there with 1 - alpha^2 + beta more for the covariance. With the pairs of `points` and delta = mean - f(0):
@@ -11,10 +11,24 @@ On a model whose state lies on a manifold (an error quaternion behind generalise
 USQUE form: points are errors that the model retracts, and propagated points are differenced with the propagated mean.
 """
 
-from estimators.filters.points import Points
+from collections.abc import Mapping
+from typing import Any
+
+from estimators.filters.points import USES as USES
+from estimators.filters.points import Parameters
+from estimators.filters.points import predict as predict
+from estimators.filters.points import project as project
+from estimators.settings import Setting
+
+SETTINGS = {
+    "alpha": Setting(1.0, "spread of the sigma points", above=0.0, maximum=2.0),
+    "beta": Setting(2.0, "weight of the centre in the covariance, 2 for a Gaussian", minimum=0.0),
+    "kappa": Setting(0.0, "further spread, n + kappa", minimum=0.0),
+}
 
 
-def ukf(alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0) -> Points:
-    """The filter, of its three parameters."""
+def make(settings: Mapping[str, Any]) -> Parameters:
+    """Make the parameters from `alpha`, `beta` and `kappa`."""
+    alpha, beta, kappa = (settings.get(name, setting.default) for name, setting in SETTINGS.items())
     alpha2 = alpha * alpha
-    return Points(growth=alpha2, interval2=alpha2 * kappa, less=0.0, square=beta - alpha2)
+    return Parameters.of(growth=alpha2, interval2=alpha2 * kappa, less=0.0, square=beta - alpha2)

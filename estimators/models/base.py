@@ -1,160 +1,459 @@
-"""What a model supplies to the filters.
+"""What a model supplies to the filters, and how a filter calls it.
 
-A model is a `NamedTuple` of parameters (every field an array or a float, and `groups`) with the functions below
-registered for its type. Its state `x` (raw) may be a manifold, such as a quaternion with other states: the filter then
-works on an error of `size` components that `retract` adds to x and `difference` finds between two states. For a plain
-vector both are the defaults, addition and subtraction, and `len(x) == size`.
+A model is a module with
 
-States are ordered so that what the nonlinear functions change and read comes first: `propagate` changes the first
-`changed` error components and reads the first `read`; the rest stay as they are. Filters use this, exactly. The three
-sizes are constants in compiled code, so loops over them are unrolled.
+    Parameters, State, Inputs, Memory, Readings   records: what the kernels read and keep, by name
+    load, measure, propagate, ...                 its kernels, see `Model`
+    SETTINGS                                      what a user can choose
+    build(settings, site, sensors, alignment)     its `Start`
 
-Measurements come in groups, processed one after the other. Row g of `groups` (int64) says of group g: `START` (its
-first row in z), `ROWS`, `FROM` and `READ` (it depends on the error components FROM to READ - 1), `LINEAR` (1 when the
-prediction is linear in them: no filter approximates it then).
+A filter sees none of these names. To it the state x, the inputs u and the measurements z are vectors, and the model is
+a *handle*: the sizes below, and the functions of this module, which call the model's kernels on records that lie over
+the same memory. Where a filter has many states at a time (sigma points), one call takes all of them.
+
+The state (`raw` numbers) may lie on a manifold, such as a quaternion with other states: the filter then works on an
+error of `size` components that `retract` adds to x and `difference` finds between two states. For a plain vector both
+are the defaults, addition and subtraction, and `raw == size`. States are ordered so that what the nonlinear functions
+change and read comes first: `propagate` changes the first `changed` error components and reads the first `read`; the
+rest stay as they are. Filters use this, exactly. `size`, `changed` and `read` are constants in the compiled linear
+algebra.
+
+Measurements come in groups (`Group`), processed one after the other.
 """
 
 import math
-from typing import Any
+from types import ModuleType
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from estimators.generic import default, generic
-from estimators.jit import njit
-from estimators.rows import E_DOWN, E_Q
+from estimators.jit import JIT, njit
+from estimators.native import (
+    CAPACITY,
+    Address,
+    Integer,
+    Plain,
+    Record,
+    adapts,
+    entry,
+    matrix,
+    pointer,
+    record,
+    shaped,
+    source_key,
+    supplied,
+    vector,
+)
+from estimators.records import ESTIMATE, SAMPLE, Estimate, Sample
 
-START, ROWS, FROM, READ, LINEAR = range(5)
+STATE = 8 * CAPACITY
+"""Bytes of a state, of inputs and of measurements: `class State(Record, size=STATE)`."""
+FLAGS = CAPACITY
+"""Bytes of the flags of measurements."""
+GROUPS = 12
+"""Most measurement groups of a model."""
+
+_Groups = Annotated[np.ndarray, shaped(GROUPS, dtype=np.int64)]
+_Rows = Annotated[np.ndarray, shaped(3, dtype=np.int64)]
 
 
-@generic
-def size(model: Any) -> int:  # type: ignore[empty-body]
-    """Components of the error, a constant."""
+class Group(NamedTuple):
+    """Measurements that are processed together."""
+
+    start: int  # its first row in z
+    rows: int
+    first: int  # it depends on the error components from `first`
+    end: int  # to `end` - 1
+    linear: bool  # the prediction is linear in them: no filter approximates it then
 
 
-@generic
-def changed(model: Any) -> int:  # type: ignore[empty-body]
-    """How many of the first of them `propagate` changes, a constant."""
+class Start(NamedTuple):
+    """What a model's `build` returns: parameters and the first contents of the estimator's memory."""
+
+    parameters: Any  # record `Parameters`
+    memory: Any  # record `Memory`
+    x: np.ndarray  # (raw,)
+    P: np.ndarray  # (size, size)
+    P_restart: np.ndarray  # (size, size), of a filter that was numerically lost
+    changed: int  # see above
+    read: int
+    groups: tuple[Group, ...]
+    magnetic: tuple[int, int, int] = (0, 0, 0)  # rows of z (from, end) from the magnetometer, and their sensor
+    disturbed: tuple[int, int, int] = (0, 3, 0)  # those that the vehicle's own acceleration or turning falsifies
 
 
-@generic
-def read(model: Any) -> int:  # type: ignore[empty-body]
-    """How many of the first of them it reads, a constant."""
+class Model(Protocol):
+    """The kernels of a model: plain functions that Numba compiles (no allocation, no Python objects).
 
-
-@generic
-def load(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray) -> None:
-    """Inputs u of the step that ends with a row of samples (see `estimators.rows`), from the state x before it.
-
-    What must be kept from row to row lives in `memory`.
+    `model` is its record `Parameters`, x its `State`, u its `Inputs`, `memory` its `Memory`, z and used its `Readings`
+    and `Used` (the same fields, of numbers and of booleans). Matrices have rows of `CAPACITY`; what is not named is not
+    to be touched. SI and radians. `residual`, `retract`, `difference` and `constrain` may be missing: plain vectors.
     """
 
+    Parameters: type[Record]
+    State: type[Record]
+    Inputs: type[Record]
+    Memory: type[Record]
+    Readings: type[Record]
+    Used: type[Record]
 
-@generic
-def measure(  # type: ignore[empty-body]
-    model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray
-) -> int:
-    """Measurements z of a row and which are used, with the predicted state x at hand; returns a `Status`."""
+    def load(self, model: Record, row: Sample, x: Record, memory: Record, u: Record) -> None:
+        """Set the inputs u of the step that ends with a row, x before it; keep what the next row needs."""
 
+    def measure(self, model: Record, row: Sample, x: Record, memory: Record, u: Record, z: Record, used: Record) -> int:
+        """Set measurements z of a row and which are `used` (all of them), x predicted to it; return a `Status`."""
 
-@generic
-def propagate(model: Any, x: np.ndarray, u: np.ndarray, dt: float, out: np.ndarray) -> None:
-    """`out` = the whole state after dt seconds without noise."""
+    def propagate(self, model: Record, x: Record, u: Record, dt: float, out: Record) -> None:
+        """Set `out` to the whole state after dt seconds (s) without noise."""
 
+    def transition(self, model: Record, x: Record, u: Record, dt: float, F: np.ndarray) -> None:
+        """Set `F[:changed, :read]` to the derivative of `propagate`'s error by the error in x."""
 
-@generic
-def transition(model: Any, x: np.ndarray, u: np.ndarray, dt: float, F: np.ndarray) -> None:
-    """`F[:changed, :read]` = derivative of `propagate`'s error with respect to the error in x."""
+    def process_noise(self, model: Record, x: Record, u: Record, dt: float, P: np.ndarray) -> None:
+        """Add the noise of dt seconds to `P[:size, :size]`, both halves."""
 
+    def observe(self, model: Record, group: int, x: Record, u: Record, y: np.ndarray) -> None:
+        """Set `y[:rows]` to the predicted measurements of a group."""
 
-@generic
-def process_noise(model: Any, x: np.ndarray, u: np.ndarray, dt: float, P: np.ndarray) -> None:
-    """Add the noise of dt seconds to P, both halves."""
+    def slope(self, model: Record, group: int, x: Record, u: Record, H: np.ndarray) -> None:
+        """Set `H[:rows, first:end]` to the derivative of `observe` by the error in x."""
 
+    def measurement_noise(self, model: Record, group: int, x: Record, u: Record, S: np.ndarray) -> None:
+        """Add the noise covariance of a group to the lower half of `S[:rows, :rows]`."""
 
-@generic
-def observe(model: Any, group: int, x: np.ndarray, u: np.ndarray, y: np.ndarray) -> None:
-    """`y[:rows]` = predicted measurements of the group."""
+    def residual(self, model: Record, group: int, z: np.ndarray, y: np.ndarray, out: np.ndarray) -> None:
+        """Set `out[:rows]` to z - y, both of this group, angles wrapped; `out` may be z."""
 
+    def retract(self, model: Record, x: Record, dx: np.ndarray, out: Record) -> None:
+        """Set `out` to x moved by the error dx (size,)."""
 
-@generic
-def slope(model: Any, group: int, x: np.ndarray, u: np.ndarray, H: np.ndarray) -> None:
-    """`H[:rows, from:read]` = derivative of `observe` with respect to the error in x."""
+    def difference(self, model: Record, x: Record, origin: Record, out: np.ndarray) -> None:
+        """Set `out[:changed]` to the error that moves `origin` to x, of the components that `propagate` changes."""
 
+    def constrain(self, model: Record, x: Record) -> None:
+        """Put x back on its manifold after rounding or an additive correction (normalise a quaternion)."""
 
-@generic
-def measurement_noise(model: Any, group: int, x: np.ndarray, u: np.ndarray, S: np.ndarray) -> None:
-    """Add the noise covariance of the group to the lower half of `S[:rows, :rows]`."""
-
-
-@generic
-def residual(model: Any, group: int, z: np.ndarray, y: np.ndarray, out: np.ndarray) -> None:
-    """`out[:rows]` = z - y, both of this group; an angle must be wrapped. `out` may be z."""
-
-
-@generic
-def retract(model: Any, x: np.ndarray, dx: np.ndarray, out: np.ndarray) -> None:
-    """`out` = x moved by the error dx (n,)."""
-
-
-@generic
-def difference(model: Any, x: np.ndarray, origin: np.ndarray, out: np.ndarray) -> None:
-    """`out[:changed]` = the error that moves `origin` to x, for the components that `propagate` changes."""
+    def report(self, model: Record, x: Record, P: np.ndarray, memory: Record, answer: Estimate) -> None:
+        """Write a row of estimates from the state and its covariance `P[:size, :size]`."""
 
 
-@generic
-def constrain(model: Any, x: np.ndarray) -> None:
-    """Put x back on its manifold after rounding or an additive correction (normalise a quaternion)."""
+class Handle(Record):
+    """A model to a filter: sizes, groups, and addresses of memory and functions."""
+
+    parameters: Address
+    memory: Address
+    raw: Integer
+    size: Integer
+    changed: Integer
+    read: Integer
+    groups: Integer  # how many
+    start: _Groups
+    rows: _Groups
+    first: _Groups
+    end: _Groups
+    linear: _Groups
+    magnetic: _Rows
+    disturbed: _Rows
+    load: Address
+    measure: Address
+    propagate: Address
+    transition: Address
+    process_noise: Address
+    observe: Address
+    slope: Address
+    measurement_noise: Address
+    residual: Address
+    retract: Address
+    difference: Address
+    constrain: Address
+    report: Address
+    factorise: Address
+    transform: Address
+    project_slope: Address
+    predicted: Address
+    measured: Address
+    condition: Address
 
 
-@generic
-def report(model: Any, x: np.ndarray, P: np.ndarray, memory: np.ndarray, row: np.ndarray) -> None:
-    """A row of estimates (offsets: `estimators.rows`) from the state."""
+HANDLE = Handle.dtype
 
 
-@default
-def _residual(model: Any, group: int, z: np.ndarray, y: np.ndarray, out: np.ndarray) -> None:
-    for i in range(model.groups[group, ROWS]):
-        out[i] = z[i] - y[i]
+# The same kernels as a filter calls them. `model` is a handle, vectors have CAPACITY elements.
 
 
-@default
-def _retract(model: Any, x: np.ndarray, dx: np.ndarray, out: np.ndarray) -> None:
-    for i in range(size(model)):
-        out[i] = x[i] + dx[i]
+@entry("pppp")
+def load(model: Handle, row: Sample, x: np.ndarray, u: np.ndarray) -> None:
+    """See `Model.load`."""
 
 
-@default
-def _difference(model: Any, x: np.ndarray, origin: np.ndarray, out: np.ndarray) -> None:
-    for i in range(changed(model)):
-        out[i] = x[i] - origin[i]
+@entry("pppppp", int)
+def measure(model: Handle, row: Sample, x: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray) -> int:  # type: ignore[empty-body]
+    """See `Model.measure`."""
 
 
-@default
-def _constrain(model: Any, x: np.ndarray) -> None:
-    pass
+@entry("pippfp")
+def propagate(model: Handle, count: int, x: np.ndarray, u: np.ndarray, dt: float, out: np.ndarray) -> None:
+    """See `Model.propagate`; x and `out` are `count` states, a row each."""
 
 
-MAX_RATE, MAX_FORCE, MAX_FIELD, MAX_SPEED = 100.0, 2000.0, 0.01, 2000.0  # rad/s, m/s2, T, m/s: beyond is no measurement
+@entry("pppfp")
+def transition(model: Handle, x: np.ndarray, u: np.ndarray, dt: float, F: np.ndarray) -> None:
+    """See `Model.transition`."""
+
+
+@entry("pppfp")
+def process_noise(model: Handle, x: np.ndarray, u: np.ndarray, dt: float, P: np.ndarray) -> None:
+    """See `Model.process_noise`."""
+
+
+@entry("piippp")
+def observe(model: Handle, group: int, count: int, x: np.ndarray, u: np.ndarray, y: np.ndarray) -> None:
+    """See `Model.observe`; x and y are `count` states and predictions, a row each."""
+
+
+@entry("pippp")
+def slope(model: Handle, group: int, x: np.ndarray, u: np.ndarray, H: np.ndarray) -> None:
+    """See `Model.slope`."""
+
+
+@entry("pippp")
+def measurement_noise(model: Handle, group: int, x: np.ndarray, u: np.ndarray, S: np.ndarray) -> None:
+    """See `Model.measurement_noise`."""
+
+
+@entry("piippp")
+def residual(model: Handle, group: int, count: int, z: np.ndarray, y: np.ndarray, out: np.ndarray) -> None:
+    """See `Model.residual`; z and `out` are `count` rows, y is one."""
+
+
+@entry("pippp")
+def retract(model: Handle, count: int, x: np.ndarray, dx: np.ndarray, out: np.ndarray) -> None:
+    """See `Model.retract`; one state x, `count` errors and results, a row each."""
+
+
+@entry("pippp")
+def difference(model: Handle, count: int, x: np.ndarray, origin: np.ndarray, out: np.ndarray) -> None:
+    """See `Model.difference`; `count` states x and results, a row each, one origin."""
+
+
+@entry("pp")
+def constrain(model: Handle, x: np.ndarray) -> None:
+    """See `Model.constrain`."""
+
+
+@entry("pppp")
+def report(model: Handle, x: np.ndarray, P: np.ndarray, answer: Estimate) -> None:
+    """See `Model.report`."""
+
+
+# How a kernel becomes the C function that these calls go to: pointers in, records out.
+
+
+@adapts(load)
+def _load(m: Any, kernel: Any) -> Any:
+    P, X, M, U = m.Parameters.dtype, m.State.dtype, m.Memory.dtype, m.Inputs.dtype
+
+    def body(model, row, x, u):  # type: ignore[no-untyped-def]
+        h = record(model, HANDLE)
+        kernel(record(h.parameters, P), record(row, SAMPLE), record(x, X), record(h.memory, M), record(u, U))
+
+    return body
+
+
+@adapts(measure)
+def _measure(m: Any, kernel: Any) -> Any:
+    P, X, M, U = m.Parameters.dtype, m.State.dtype, m.Memory.dtype, m.Inputs.dtype
+    Z, D = m.Readings.dtype, m.Used.dtype
+
+    def body(model, row, x, u, z, used):  # type: ignore[no-untyped-def]
+        h = record(model, HANDLE)
+        p, memory = record(h.parameters, P), record(h.memory, M)
+        return kernel(p, record(row, SAMPLE), record(x, X), memory, record(u, U), record(z, Z), record(used, D))
+
+    return body
+
+
+@adapts(propagate)
+def _propagate(m: Any, kernel: Any) -> Any:
+    P, X, U = m.Parameters.dtype, m.State.dtype, m.Inputs.dtype
+
+    def body(model, count, x, u, dt, out):  # type: ignore[no-untyped-def]
+        p, inputs = record(record(model, HANDLE).parameters, P), record(u, U)
+        for k in range(count):
+            kernel(p, record(x, X, k), inputs, dt, record(out, X, k))
+
+    return body
+
+
+@adapts(transition)
+@adapts(process_noise)
+def _with_step(m: Any, kernel: Any) -> Any:
+    P, X, U = m.Parameters.dtype, m.State.dtype, m.Inputs.dtype
+
+    def body(model, x, u, dt, out):  # type: ignore[no-untyped-def]
+        kernel(record(record(model, HANDLE).parameters, P), record(x, X), record(u, U), dt, matrix(out))
+
+    return body
+
+
+@adapts(observe)
+def _observe(m: Any, kernel: Any) -> Any:
+    P, X, U = m.Parameters.dtype, m.State.dtype, m.Inputs.dtype
+
+    def body(model, group, count, x, u, y):  # type: ignore[no-untyped-def]
+        p, inputs = record(record(model, HANDLE).parameters, P), record(u, U)
+        for k in range(count):
+            kernel(p, group, record(x, X, k), inputs, vector(y, k))
+
+    return body
+
+
+@adapts(slope)
+@adapts(measurement_noise)
+def _of_group(m: Any, kernel: Any) -> Any:
+    P, X, U = m.Parameters.dtype, m.State.dtype, m.Inputs.dtype
+
+    def body(model, group, x, u, out):  # type: ignore[no-untyped-def]
+        kernel(record(record(model, HANDLE).parameters, P), group, record(x, X), record(u, U), matrix(out))
+
+    return body
+
+
+@adapts(residual)
+def _residual(m: Any, kernel: Any) -> Any:
+    P = m.Parameters.dtype
+
+    def body(model, group, count, z, y, out):  # type: ignore[no-untyped-def]
+        p = record(record(model, HANDLE).parameters, P)
+        for k in range(count):
+            kernel(p, group, vector(z, k), vector(y), vector(out, k))
+
+    def subtract(model, group, count, z, y, out):  # type: ignore[no-untyped-def]
+        rows = record(model, HANDLE).rows[group]
+        for k in range(count):
+            a, b, c = vector(z, k), vector(y), vector(out, k)
+            for i in range(rows):
+                c[i] = a[i] - b[i]
+
+    return subtract if kernel is None else body
+
+
+@adapts(retract)
+def _retract(m: Any, kernel: Any) -> Any:
+    P, X = m.Parameters.dtype, m.State.dtype
+
+    def body(model, count, x, dx, out):  # type: ignore[no-untyped-def]
+        p, from_ = record(record(model, HANDLE).parameters, P), record(x, X)
+        for k in range(count):
+            kernel(p, from_, vector(dx, k), record(out, X, k))
+
+    def add(model, count, x, dx, out):  # type: ignore[no-untyped-def]
+        n = record(model, HANDLE).size
+        for k in range(count):
+            a, b, c = vector(x), vector(dx, k), vector(out, k)
+            for i in range(n):
+                c[i] = a[i] + b[i]
+
+    return add if kernel is None else body
+
+
+@adapts(difference)
+def _difference(m: Any, kernel: Any) -> Any:
+    P, X = m.Parameters.dtype, m.State.dtype
+
+    def body(model, count, x, origin, out):  # type: ignore[no-untyped-def]
+        p, from_ = record(record(model, HANDLE).parameters, P), record(origin, X)
+        for k in range(count):
+            kernel(p, record(x, X, k), from_, vector(out, k))
+
+    def subtract(model, count, x, origin, out):  # type: ignore[no-untyped-def]
+        changed = record(model, HANDLE).changed
+        for k in range(count):
+            a, b, c = vector(x, k), vector(origin), vector(out, k)
+            for i in range(changed):
+                c[i] = a[i] - b[i]
+
+    return subtract if kernel is None else body
+
+
+@adapts(constrain)
+def _constrain(m: Any, kernel: Any) -> Any:
+    P, X = m.Parameters.dtype, m.State.dtype
+
+    def body(model, x):  # type: ignore[no-untyped-def]
+        kernel(record(record(model, HANDLE).parameters, P), record(x, X))
+
+    def nothing(model, x):  # type: ignore[no-untyped-def]
+        pass
+
+    return nothing if kernel is None else body
+
+
+@adapts(report)
+def _report(m: Any, kernel: Any) -> Any:
+    P, X, M = m.Parameters.dtype, m.State.dtype, m.Memory.dtype
+
+    def body(model, x, P_, answer):  # type: ignore[no-untyped-def]
+        h = record(model, HANDLE)
+        kernel(record(h.parameters, P), record(x, X), matrix(P_), record(h.memory, M), record(answer, ESTIMATE))
+
+    return body
+
+
+ALWAYS = (load, measure, measurement_noise, process_noise, residual, retract, constrain, report)
+"""What the loop calls for any filter."""
+BANK = (measurement_noise, process_noise, residual, retract, constrain)
+"""What a bank of filters calls."""
+_DEFAULT = (residual, retract, difference, constrain)
+
+
+class Bound:
+    """A model with its memory, and the handle by which filters know it."""
+
+    def __init__(self, model: ModuleType, start: Start, entries: tuple[Any, ...]) -> None:
+        """Bind the kernels of `entries`, compiled or loaded."""
+        from estimators.filters import moments
+
+        self.parameters, self.memory = start.parameters, start.memory
+        self.size, self.raw = n, raw = len(start.P), len(start.x)
+        if raw > CAPACITY:
+            raise ValueError(f"{model.__name__}: {raw} numbers in a state, at most {CAPACITY}")
+        fields: dict[str, Any] = {
+            "raw": raw, "size": n, "changed": start.changed, "read": start.read, "groups": len(start.groups),
+            "magnetic": np.array(start.magnetic), "disturbed": np.array(start.disturbed),
+        }  # fmt: skip
+        for name in Group._fields:
+            fields[name] = np.zeros(GROUPS, np.int64)
+            fields[name][: len(start.groups)] = [getattr(group, name) for group in start.groups]
+        sizes = moments.Sizes(n, start.changed, start.read)
+        for called in entries:
+            owner: Any = model
+            kernel = getattr(model, called.__name__, None)
+            key = source_key(kernel, "models.plain")
+            if called in moments.ENTRIES:
+                owner, key = sizes, f"moments-{n}-{start.changed}-{start.read}"
+            elif kernel is None and called not in _DEFAULT:
+                raise TypeError(f"{model.__name__} has no kernel '{called.__name__}'")
+            fields[called.__name__] = supplied(called, owner, kernel, key)
+        if not JIT:
+            self.handle: Any = Plain(parameters=self.parameters, memory=self.memory, **fields)
+        else:
+            handle = Handle.zeros()
+            for name, value in {
+                **fields,
+                "parameters": pointer(self.parameters),
+                "memory": pointer(self.memory),
+            }.items():
+                setattr(handle, name, value)
+            self.handle = handle
 
 
 @njit(forceinline=True)
-def plausible(value: float, limit: float) -> bool:
-    """Whether it is a number within the limit."""
-    return abs(value) < limit  # False for NaN
-
-
-@njit(forceinline=True)
-def on_earth(latitude: float, longitude: float, height: float) -> bool:
-    """Whether it is a place near the Earth (rad, rad, m): an angle of any size would be one after wrapping."""
-    return abs(latitude) < 1.58 and abs(longitude) < 6.3 and abs(height) < 1e6  # False for NaN
-
-
-@njit(forceinline=True)
-def report_attitude(q: np.ndarray, row: np.ndarray) -> None:
+def report_attitude(q: np.ndarray, answer: Estimate) -> None:
     """Quaternion and down vector of a row of estimates from q_nb (first four elements), of any length."""
     a, b, c, d = q[0], q[1], q[2], q[3]
     scale = 1.0 / math.sqrt(a * a + b * b + c * c + d * d)
     a, b, c, d = a * scale, b * scale, c * scale, d * scale
-    row[E_Q], row[E_Q + 1], row[E_Q + 2], row[E_Q + 3] = a, b, c, d
-    row[E_DOWN], row[E_DOWN + 1] = 2.0 * (b * d - a * c), 2.0 * (c * d + a * b)
-    row[E_DOWN + 2] = a * a - b * b - c * c + d * d
+    answer.q_nb[0], answer.q_nb[1], answer.q_nb[2], answer.q_nb[3] = a, b, c, d
+    answer.down_b[0], answer.down_b[1] = 2.0 * (b * d - a * c), 2.0 * (c * d + a * b)
+    answer.down_b[2] = a * a - b * b - c * c + d * d

@@ -17,13 +17,16 @@ filter; here they add to the measurement noise, to first order (`look_noise`), a
 """
 
 import math
-from typing import Any, NamedTuple
+import sys
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from estimators.errors import SettingError
-from estimators.generic import register
+from estimators.filters.base import Method
 from estimators.jit import njit
+from estimators.models.base import BANK, STATE, Bound, Group, Start
+from estimators.native import Number, Record, local, shaped, vector
 
 LIGHT = 299_792_458.0
 """Speed of light, m/s."""
@@ -35,7 +38,6 @@ PHASE, RATE = 0, 1
 class Emitter(NamedTuple):
     """Parameters: geometry and errors, one sigma each."""
 
-    groups: np.ndarray  # (1, 5) int64
     k: float  # rad of phase per unit of cos(theta - alpha)
     phase: float  # rad
     phase_rate: float  # rad/s
@@ -84,7 +86,6 @@ class Emitter(NamedTuple):
             if not (value >= 0.0 and math.isfinite(value)):
                 raise SettingError(f"emitter: {name} = {value} must not be negative")
         return cls(
-            groups=np.array([[0, 2, 0, 2, 0]], np.int64),
             k=2.0 * math.pi * frequency * baseline / LIGHT,
             phase=float(phase_sigma),
             phase_rate=float(phase_rate_sigma),
@@ -212,7 +213,7 @@ def look(model: Any, x: np.ndarray, u: np.ndarray, y: np.ndarray, H: np.ndarray)
 @njit
 def look_noise(model: Any, x: np.ndarray, u: np.ndarray, S: np.ndarray) -> None:
     """Add the noise of a look to the lower half of S (2, 2): phase, its rate, the aircraft's own state."""
-    y, H = np.empty(2), np.empty((2, 2))
+    y, H = local(2), local(2, 2)
     theta = look(model, x, u, y, H)
     away = math.hypot(x[0] - u[0], x[1] - u[1])
     s, c = model.k * math.sin(theta - u[4]), model.k * math.cos(theta - u[4])
@@ -230,54 +231,80 @@ def look_noise(model: Any, x: np.ndarray, u: np.ndarray, S: np.ndarray) -> None:
     )
 
 
-def _size(model: Any) -> int:
-    return 2
+class Parameters(Record):
+    """An `Emitter` as a record."""
+
+    k: Number
+    phase: Number
+    phase_rate: Number
+    position: Number
+    velocity: Number
+    heading: Number
+    heading_rate: Number
+    frequency: Number
 
 
-def _none(model: Any) -> int:
-    return 0  # the emitter stands still
+class State(Record, size=STATE):
+    """The state."""
+
+    position: Annotated[np.ndarray, shaped(2)]  # m
 
 
-def _propagate(model: Any, x: np.ndarray, u: np.ndarray, dt: float, out: np.ndarray) -> None:
-    out[0], out[1] = x[0], x[1]
+class Inputs(Record):
+    """Of a look, see above."""
+
+    position: Annotated[np.ndarray, shaped(2)]  # m
+    velocity: Annotated[np.ndarray, shaped(2)]  # m/s
+    heading: Number  # rad
+    heading_rate: Number  # rad/s
 
 
-def _transition(model: Any, x: np.ndarray, u: np.ndarray, dt: float, F: np.ndarray) -> None:
-    pass  # identity
+def propagate(model: Parameters, x: State, u: Inputs, dt: float, out: State) -> None:
+    """The emitter stands still."""
+    out.position[0], out.position[1] = x.position[0], x.position[1]
 
 
-def _process_noise(model: Any, x: np.ndarray, u: np.ndarray, dt: float, P: np.ndarray) -> None:
-    pass
+def transition(model: Parameters, x: State, u: Inputs, dt: float, F: np.ndarray) -> None:
+    """Identity: nothing changes."""
 
 
-def _observe(model: Any, group: int, x: np.ndarray, u: np.ndarray, y: np.ndarray) -> None:
-    look(model, x, u, y, np.empty((2, 2)))
+def process_noise(model: Parameters, x: State, u: Inputs, dt: float, P: np.ndarray) -> None:
+    """None."""
 
 
-def _slope(model: Any, group: int, x: np.ndarray, u: np.ndarray, H: np.ndarray) -> None:
-    look(model, x, u, np.empty(2), H)
+def observe(model: Parameters, group: int, x: State, u: Inputs, y: np.ndarray) -> None:
+    """Phase and its rate."""
+    look(model, x.position, vector(u), y, local(2, 2))
 
 
-def _measurement_noise(model: Any, group: int, x: np.ndarray, u: np.ndarray, S: np.ndarray) -> None:
-    look_noise(model, x, u, S)
+def slope(model: Parameters, group: int, x: State, u: Inputs, H: np.ndarray) -> None:
+    """Derivatives by the position."""
+    look(model, x.position, vector(u), local(2), H)
 
 
-def _residual(model: Any, group: int, z: np.ndarray, y: np.ndarray, out: np.ndarray) -> None:
+def measurement_noise(model: Parameters, group: int, x: State, u: Inputs, S: np.ndarray) -> None:
+    """Noise of a look."""
+    look_noise(model, x.position, vector(u), S)
+
+
+def residual(model: Parameters, group: int, z: np.ndarray, y: np.ndarray, out: np.ndarray) -> None:
+    """Z - y; the phase is known modulo 2 pi."""
     apart = z[PHASE] - y[PHASE]
-    out[PHASE] = math.atan2(math.sin(apart), math.cos(apart))  # the phase is known modulo 2 pi
+    out[PHASE] = math.atan2(math.sin(apart), math.cos(apart))
     out[RATE] = z[RATE] - y[RATE]
 
 
-register(
-    Emitter,
-    size=_size,
-    changed=_none,
-    read=_none,
-    propagate=_propagate,
-    transition=_transition,
-    process_noise=_process_noise,
-    observe=_observe,
-    slope=_slope,
-    measurement_noise=_measurement_noise,
-    residual=_residual,
-)
+def bound(emitter: Emitter, method: Method) -> Bound:
+    """Bind the model for a filter; it has no alignment, and its states are a bank's (`gaussian_sum`)."""
+    nothing = np.zeros((2, 2))
+    start = Start(
+        parameters=Parameters.of(**emitter._asdict()),
+        memory=Inputs.zeros(),
+        x=np.zeros(2),
+        P=nothing,
+        P_restart=nothing,
+        changed=0,
+        read=0,
+        groups=(Group(0, 2, 0, 2, False),),
+    )
+    return Bound(sys.modules[__name__], start, (*method.module.USES, *BANK))

@@ -1,4 +1,4 @@
-"""M1: attitude quaternion, body rate and gyro bias from magnetic, angular rate and gravity sensors (paper 000).
+"""Attitude quaternion, body rate and gyro bias from magnetic, angular rate and gravity sensors (Han 2013).
 
 State (10): `q_nb` (a, b, c, d), true body rate w (rad/s), gyro bias e (rad/s); additive noise; vector state.
 
@@ -25,86 +25,138 @@ When the aid falls silent for `AID_TIMEOUT` the accelerometer's noise is raised 
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from estimators.alignment import Alignment, Start, attitude_block
-from estimators.generic import register
+from estimators import adaptation
+from estimators.alignment import SETTINGS as ALIGNMENT
+from estimators.alignment import Alignment, attitude_block
 from estimators.jit import inner
-from estimators.models.base import MAX_FIELD, MAX_FORCE, MAX_RATE, MAX_SPEED, plausible, report_attitude
+from estimators.models.base import FLAGS, STATE, Group, Start, report_attitude
+from estimators.native import Flags3, Integer, Matrix3, Number, Record, Vector3, Vector4, local
+from estimators.plausible import MAX_FIELD, MAX_FORCE, MAX_RATE, MAX_SPEED, plausible
+from estimators.records import Estimate, Sample
 from estimators.rotations import exp_terms, normalise, to_body, to_body_by_q, to_nav, turn
-from estimators.rows import (
-    ACCEL,
-    AIR_NEW,
-    AIRSPEED,
-    ALPHA,
-    BETA,
-    E_COV,
-    E_DOWN,
-    E_GYRO_BIAS,
-    E_GYRO_SIGMA,
-    E_Q,
-    GNSS_NEW,
-    GNSS_T,
-    GYRO,
-    MAG,
-    MAG_NEW,
-    VEL,
-    T,
-)
+from estimators.settings import Setting
 from estimators.types import SensorInfo, Site, Status
 
 ATTITUDE, RATE, BIAS = slice(0, 4), slice(4, 7), slice(7, 10)
-
-# inputs u:
-# acceleration a_n 0-2, velocity v_b 3-5, its derivative 6-8, factor on the accelerometer's variance 9
-INPUTS = 10
-
-# memory
-_MAG_T, _AID_T, _V, _V_SLOW, _V_DOT, _ALPHA, _BETA, _LAST_VELOCITY, _LAST_T, _A, _A_T, MEMORY = (
-    0, 1, 2, 3, 4, 5, 6, 7, 10, 11, 14, 15,
-)  # fmt: skip
-
-NONE, AIR, GNSS = 0, 1, 2
+DIRECTIONS, TURNING = range(2)  # groups: accelerometer and magnetometer, gyro
+NONE, AIR, GNSS = range(3)  # aiding
 MAG_TIMEOUT = 1.0  # s without magnetometer: the heading is carried by the gyro
 AID_TIMEOUT = 1.0  # s
 _RUNNING, _COASTING = int(Status.RUNNING), int(Status.COASTING)
 
+SETTINGS = {
+    **ALIGNMENT,
+    "aiding": Setting("none", "what is added to gravity in the accelerometer's model", ("none", "airspeed", "gnss")),
+    "noise": Setting(
+        "auto",
+        "from-ground: R and Q from the stationary stretch (the paper); practical: the settings below; "
+        "auto: from-ground without aiding, practical with it",
+        ("auto", "from-ground", "practical"),
+    ),
+    "accel_sigma": Setting(3.0, "m/s2, practical: vibration, turbulence and model errors, not sensor noise", above=0.0),
+    "mag_sigma": Setting(4e-6, "T, practical", above=0.0),
+    "rate_noise": Setting(0.035, "rad/s per sqrt(s), practical: how fast the body rate may change", above=0.0),
+    "bias_walk": Setting(3e-5, "rad/s per sqrt(s), random walk of the gyro bias", minimum=0.0),
+    "speed_filter": Setting(0.5, "s, time constant of the derivative of the airspeed", above=0.0),
+    "speed_min": Setting(8.0, "m/s, below it the airspeed may be wind on the ground: not used", minimum=0.0),
+    "incidence": Setting(
+        0.05, "rad, angle of attack without vane; aeroplanes cruise at 2 to 4 deg", minimum=-0.3, maximum=0.3
+    ),
+    "scale_share": Setting(0.4, "practical: of the gyro's scale error, noise that grows with the rate", minimum=0.0),
+    "scale_time": Setting(5.0, "s, practical: how long a rate lasts: correlation of that noise", above=0.0),
+    "unaided_factor": Setting(11.0, "on the accelerometer's variance while the aid is silent", minimum=1.0),
+    **adaptation.settings(),
+}
 
-class Marg(NamedTuple):
+
+class Parameters(Record):
     """Parameters of the model."""
 
-    groups: np.ndarray  # (2, 5) int64: accelerometer and magnetometer, gyro
-    gravity_n: np.ndarray  # (3,) m/s2, G = (0, 0, -g)
-    mag_n: np.ndarray  # (3,) T, M
-    R_accel: np.ndarray  # (3, 3) (m/s2)^2
-    R_mag: np.ndarray  # (3, 3) T2
-    R_gyro: np.ndarray  # (3, 3) (rad/s)^2
-    Q_rate: np.ndarray  # (3, 3) (rad/s)^2 per second
-    q_noise: float  # 1/s, variance of the quaternion's elements: keeps P positive
-    bias_noise: float  # (rad/s)^2 per second
-    aiding: int  # NONE, AIR, GNSS
-    speed_filter: float  # s, time constant of dV/dt
-    speed_min: float  # m/s
-    unaided_factor: float  # on R_accel while the aid is silent
-    incidence: float  # rad, angle of attack without vane
-    rate_noise: float  # s, 2 tau k^2: attitude noise that grows with the rate
-    fixed_tilt: float  # rad2, of errors that no average removes
-    fixed_heading: float  # rad2, likewise, without what comes from the tilt
-    dip_slope: float  # tangent of the field's dip: heading error per tilt error
-    speed_scale: float  # relative error of the airspeed
+    gravity_n: Vector3  # m/s2, G = (0, 0, -g)
+    mag_n: Vector3  # T, M
+    R_accel: Matrix3  # (m/s2)^2
+    R_mag: Matrix3  # T2
+    R_gyro: Matrix3  # (rad/s)^2
+    Q_rate: Matrix3  # (rad/s)^2 per second
+    q_noise: Number  # 1/s, variance of the quaternion's elements: keeps P positive
+    bias_noise: Number  # (rad/s)^2 per second
+    aiding: Integer  # NONE, AIR, GNSS
+    speed_filter: Number  # s, time constant of dV/dt
+    speed_min: Number  # m/s
+    unaided_factor: Number  # on R_accel while the aid is silent
+    incidence: Number  # rad, angle of attack without vane
+    rate_noise: Number  # s, 2 tau k^2: attitude noise that grows with the rate
+    fixed_tilt: Number  # rad2, of errors that no average removes
+    fixed_heading: Number  # rad2, likewise, without what comes from the tilt
+    dip_slope: Number  # tangent of the field's dip: heading error per tilt error
+    speed_scale: Number  # relative error of the airspeed
 
 
-def _propagate(model: Any, x: np.ndarray, u: np.ndarray, dt: float, out: np.ndarray) -> None:
-    turn(x, x[4] * dt, x[5] * dt, x[6] * dt, out)
-    for i in range(4, 10):
-        out[i] = x[i]
+class State(Record, size=STATE):
+    """State, error and errors' order alike."""
+
+    q_nb: Vector4
+    rate_b: Vector3  # rad/s
+    gyro_bias: Vector3  # rad/s
 
 
-def _transition(model: Any, x: np.ndarray, u: np.ndarray, dt: float, F: np.ndarray) -> None:
-    a, b, c, d = x[0], x[1], x[2], x[3]
-    vx, vy, vz = x[4] * dt, x[5] * dt, x[6] * dt
+class Inputs(Record, size=STATE):
+    """What is known of the motion."""
+
+    accel_n: Vector3  # m/s2, a_n
+    vel_b: Vector3  # m/s, v_b
+    vel_dot_b: Vector3  # m/s2, its derivative
+    accel_factor: Number  # on the accelerometer's variance
+
+
+class Memory(Record):
+    """What is kept from row to row; NaN: not yet seen."""
+
+    mag_t: Number  # s, last magnetometer
+    aid_t: Number  # s, last airspeed or velocity
+    speed: Number  # m/s, last airspeed
+    slow: Number  # m/s, the same behind the low-pass
+    speed_dot: Number  # m/s2
+    alpha: Number  # rad
+    beta: Number  # rad
+    vel_n: Vector3  # m/s, last GNSS velocity
+    vel_t: Number  # s, when it was true
+    accel_n: Vector3  # m/s2, of the last two of them
+    accel_t: Number  # s, the middle between them
+
+
+class Readings(Record, size=STATE):
+    """Measurements."""
+
+    accel_b: Vector3
+    mag_b: Vector3
+    gyro_b: Vector3
+
+
+class Used(Record, size=FLAGS):
+    """Which of them count."""
+
+    accel_b: Flags3
+    mag_b: Flags3
+    gyro_b: Flags3
+
+
+def propagate(model: Parameters, x: State, u: Inputs, dt: float, out: State) -> None:
+    """Turn the attitude by the body rate, which stays."""
+    w = x.rate_b
+    turn(x.q_nb, w[0] * dt, w[1] * dt, w[2] * dt, out.q_nb)
+    for i in range(3):
+        out.rate_b[i], out.gyro_bias[i] = w[i], x.gyro_bias[i]
+
+
+def transition(model: Parameters, x: State, u: Inputs, dt: float, F: np.ndarray) -> None:
+    """Derivatives of the quaternion by quaternion and rate."""
+    (a, b, c, d), w = (x.q_nb[0], x.q_nb[1], x.q_nb[2], x.q_nb[3]), x.rate_b
+    vx, vy, vz = w[0] * dt, w[1] * dt, w[2] * dt
     cosine, sine, slope = exp_terms(vx * vx + vy * vy + vz * vz)
     ex, ey, ez = sine * vx, sine * vy, sine * vz
     # dq'/dq: multiplication by exp_q(v) from the right
@@ -114,7 +166,7 @@ def _transition(model: Any, x: np.ndarray, u: np.ndarray, dt: float, F: np.ndarr
     F[3, 0], F[3, 1], F[3, 2], F[3, 3] = ez, ey, -ex, cosine
     # dq'/dw = q (x) d exp_q / dv dt, column by column
     for j in range(3):
-        v_j = x[4 + j] * dt
+        v_j = w[j] * dt
         da = -0.5 * sine * v_j * dt
         db, dc, dd = slope * vx * v_j * dt, slope * vy * v_j * dt, slope * vz * v_j * dt
         if j == 0:
@@ -129,8 +181,10 @@ def _transition(model: Any, x: np.ndarray, u: np.ndarray, dt: float, F: np.ndarr
         F[3, 4 + j] = a * dd + b * dc - c * db + d * da
 
 
-def _process_noise(model: Any, x: np.ndarray, u: np.ndarray, dt: float, P: np.ndarray) -> None:
-    turning = 0.25 * model.rate_noise * (x[4] * x[4] + x[5] * x[5] + x[6] * x[6])
+def process_noise(model: Parameters, x: State, u: Inputs, dt: float, P: np.ndarray) -> None:
+    """Random walks of rate and bias; scale and misalignment of the gyro grow with the rate."""
+    w = x.rate_b
+    turning = 0.25 * model.rate_noise * (w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
     for i in range(4):
         P[i, i] += (model.q_noise + turning) * dt
     for i in range(3):
@@ -139,217 +193,182 @@ def _process_noise(model: Any, x: np.ndarray, u: np.ndarray, dt: float, P: np.nd
         P[7 + i, 7 + i] += model.bias_noise * dt
 
 
-def _observe(model: Any, group: int, x: np.ndarray, u: np.ndarray, y: np.ndarray) -> None:
-    if group == 1:
+def observe(model: Parameters, group: int, x: State, u: Inputs, y: np.ndarray) -> None:
+    """Specific force with the known motion, field; or rate and bias."""
+    w = x.rate_b
+    if group == TURNING:
         for i in range(3):
-            y[i] = x[4 + i] + x[7 + i]
+            y[i] = w[i] + x.gyro_bias[i]
         return
-    g, m = model.gravity_n, model.mag_n
-    to_body(x, m[0], m[1], m[2], y)
+    g, m, a = model.gravity_n, model.mag_n, u.accel_n
+    to_body(x.q_nb, m[0], m[1], m[2], y)
     y[3], y[4], y[5] = y[0], y[1], y[2]
-    to_body(x, g[0] + u[0], g[1] + u[1], g[2] + u[2], y)
-    if model.aiding == AIR:
-        vx, vy, vz = u[3], u[4], u[5]
-        y[0] += x[5] * vz - x[6] * vy + u[6]
-        y[1] += x[6] * vx - x[4] * vz + u[7]
-        y[2] += x[4] * vy - x[5] * vx + u[8]
+    to_body(x.q_nb, g[0] + a[0], g[1] + a[1], g[2] + a[2], y)
+    if model.aiding == AIR:  # w x v + dv/dt
+        v, v_dot = u.vel_b, u.vel_dot_b
+        y[0] += w[1] * v[2] - w[2] * v[1] + v_dot[0]
+        y[1] += w[2] * v[0] - w[0] * v[2] + v_dot[1]
+        y[2] += w[0] * v[1] - w[1] * v[0] + v_dot[2]
 
 
-def _slope(model: Any, group: int, x: np.ndarray, u: np.ndarray, H: np.ndarray) -> None:
-    if group == 1:
+def slope(model: Parameters, group: int, x: State, u: Inputs, H: np.ndarray) -> None:
+    """Derivatives of the above."""
+    if group == TURNING:
         for i in range(3):
             for j in range(4, 10):
                 H[i, j] = 0.0
             H[i, 4 + i] = 1.0
             H[i, 7 + i] = 1.0
         return
-    g, m = model.gravity_n, model.mag_n
-    to_body_by_q(x, m[0], m[1], m[2], H)
+    g, m, a = model.gravity_n, model.mag_n, u.accel_n
+    to_body_by_q(x.q_nb, m[0], m[1], m[2], H)
     for i in range(3):
         for j in range(4):
             H[3 + i, j] = H[i, j]
-    to_body_by_q(x, g[0] + u[0], g[1] + u[1], g[2] + u[2], H)
+    to_body_by_q(x.q_nb, g[0] + a[0], g[1] + a[1], g[2] + a[2], H)
     if model.aiding == AIR:
-        vx, vy, vz = u[3], u[4], u[5]
-        H[0, 4], H[0, 5], H[0, 6] = 0.0, vz, -vy
-        H[1, 4], H[1, 5], H[1, 6] = -vz, 0.0, vx
-        H[2, 4], H[2, 5], H[2, 6] = vy, -vx, 0.0
+        v = u.vel_b
+        H[0, 4], H[0, 5], H[0, 6] = 0.0, v[2], -v[1]
+        H[1, 4], H[1, 5], H[1, 6] = -v[2], 0.0, v[0]
+        H[2, 4], H[2, 5], H[2, 6] = v[1], -v[0], 0.0
         for i in range(3, 6):
             for j in range(4, 7):
                 H[i, j] = 0.0
 
 
-def _measurement_noise(model: Any, group: int, x: np.ndarray, u: np.ndarray, S: np.ndarray) -> None:
+def measurement_noise(model: Parameters, group: int, x: State, u: Inputs, S: np.ndarray) -> None:
+    """Noise of the sensors; the accelerometer's is larger while its aid is silent."""
     for i in range(3):
         for j in range(i + 1):
-            if group == 1:
+            if group == TURNING:
                 S[i, j] += model.R_gyro[i, j]
             else:
-                S[i, j] += model.R_accel[i, j] * u[9]
+                S[i, j] += model.R_accel[i, j] * u.accel_factor
                 S[3 + i, 3 + j] += model.R_mag[i, j]
 
 
-def _constrain(model: Any, x: np.ndarray) -> None:
-    normalise(x)
+def constrain(model: Parameters, x: State) -> None:
+    """Normalise the quaternion."""
+    normalise(x.q_nb)
 
 
-def _load(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray) -> None:
-    u[9] = 1.0
+def load(model: Parameters, row: Sample, x: State, memory: Memory, u: Inputs) -> None:
+    """Known motion of the row; none, and a larger noise, while the aid is silent."""
+    u.accel_factor = 1.0
     if model.aiding == AIR:
         _load_air(model, row, memory, u)
     elif model.aiding == GNSS:
-        _load_gnss(model, row, x, memory, u)
-    if model.aiding != NONE and not row[T] - memory[_AID_T] <= AID_TIMEOUT:
-        u[9] = model.unaided_factor
-        for i in range(9):
-            u[i] = 0.0
+        _load_gnss(row, x, memory, u)
+    if model.aiding != NONE and not row.t - memory.aid_t <= AID_TIMEOUT:
+        u.accel_factor = model.unaided_factor
+        for i in range(3):
+            u.accel_n[i] = u.vel_b[i] = u.vel_dot_b[i] = 0.0
 
 
-def _measure(
-    model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray
-) -> int:
-    t, new = row[T], row[MAG_NEW] != 0.0
-    carried, mag = True, new  # by gyro and accelerometer; is the magnetometer there?
+def measure(model: Parameters, row: Sample, x: State, memory: Memory, u: Inputs, z: Readings, used: Used) -> int:
+    """All three sensors; COASTING without the gyro, the accelerometer or its aid, and a while without the field."""
+    carried, mag = True, row.mag_new  # by gyro and accelerometer; is the magnetometer there?
     for i in range(3):
-        z[i], z[3 + i], z[6 + i] = row[ACCEL + i], row[MAG + i], row[GYRO + i]
-        used[i] = plausible(z[i], MAX_FORCE)
-        used[3 + i] = new and plausible(z[3 + i], MAX_FIELD)
-        used[6 + i] = plausible(z[6 + i], MAX_RATE)
-        carried &= used[i] and used[6 + i]
-        mag &= used[3 + i]
-    if mag or not math.isfinite(memory[_MAG_T]):
-        memory[_MAG_T] = t
-    aided = model.aiding == NONE or t - memory[_AID_T] <= AID_TIMEOUT
-    return _RUNNING if carried and aided and t - memory[_MAG_T] <= MAG_TIMEOUT else _COASTING
+        z.accel_b[i], z.mag_b[i], z.gyro_b[i] = row.accel_b[i], row.mag_b[i], row.gyro_b[i]
+        force, rate = plausible(row.accel_b[i], MAX_FORCE), plausible(row.gyro_b[i], MAX_RATE)
+        field = row.mag_new and plausible(row.mag_b[i], MAX_FIELD)
+        used.accel_b[i], used.mag_b[i], used.gyro_b[i] = force, field, rate
+        carried &= force and rate
+        mag &= field
+    if mag or not math.isfinite(memory.mag_t):
+        memory.mag_t = row.t
+    aided = model.aiding == NONE or row.t - memory.aid_t <= AID_TIMEOUT
+    return _RUNNING if carried and aided and row.t - memory.mag_t <= MAG_TIMEOUT else _COASTING
 
 
 @inner
-def _load_air(model: Any, row: np.ndarray, memory: np.ndarray, u: np.ndarray) -> None:
-    t = row[T]
-    if row[AIR_NEW] != 0.0 and plausible(row[AIRSPEED], MAX_SPEED):
-        speed, age = row[AIRSPEED], t - memory[_AID_T]
-        if not age <= AID_TIMEOUT:
-            memory[_V_SLOW] = speed
+def _load_air(model: Parameters, row: Sample, memory: Memory, u: Inputs) -> None:
+    """Velocity in the air and its derivative, from airspeed and vanes."""
+    if row.air_new and plausible(row.airspeed, MAX_SPEED):
+        speed, age = row.airspeed, row.t - memory.aid_t
+        if not age <= AID_TIMEOUT:  # the first, or the first after a pause: no derivative yet
+            memory.slow = speed
         elif age > 0.0:
-            memory[_V_SLOW] += (1.0 - math.exp(-age / model.speed_filter)) * (speed - memory[_V_SLOW])
-        memory[_V_DOT] = (speed - memory[_V_SLOW]) / model.speed_filter
-        memory[_V] = speed
-        memory[_ALPHA] = row[ALPHA] if math.isfinite(row[ALPHA]) else model.incidence
-        memory[_BETA] = row[BETA] if math.isfinite(row[BETA]) else 0.0
-        memory[_AID_T] = t
-    speed, speed_up = memory[_V], memory[_V_DOT]
+            memory.slow += (1.0 - math.exp(-age / model.speed_filter)) * (speed - memory.slow)
+        memory.speed_dot = (speed - memory.slow) / model.speed_filter
+        memory.speed = speed
+        memory.alpha = row.alpha if math.isfinite(row.alpha) else model.incidence
+        memory.beta = row.beta if math.isfinite(row.beta) else 0.0
+        memory.aid_t = row.t
+    speed, speed_up = memory.speed, memory.speed_dot
     if not speed >= model.speed_min:
         speed, speed_up = 0.0, 0.0
-    alpha, beta = memory[_ALPHA], memory[_BETA]
+    alpha, beta = memory.alpha, memory.beta
     ahead, right, down = math.cos(alpha) * math.cos(beta), math.sin(beta), math.sin(alpha) * math.cos(beta)
-    u[3], u[4], u[5] = speed * ahead, speed * right, speed * down
-    u[6], u[7], u[8] = speed_up * ahead, speed_up * right, speed_up * down
+    u.vel_b[0], u.vel_b[1], u.vel_b[2] = speed * ahead, speed * right, speed * down
+    u.vel_dot_b[0], u.vel_dot_b[1], u.vel_dot_b[2] = speed_up * ahead, speed_up * right, speed_up * down
 
 
 @inner
-def _load_gnss(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray) -> None:
-    if row[GNSS_NEW] != 0.0 and plausible(abs(row[VEL]) + abs(row[VEL + 1]) + abs(row[VEL + 2]), MAX_SPEED):
-        valid = row[GNSS_T]
-        age = valid - memory[_LAST_T]
+def _load_gnss(row: Sample, x: State, memory: Memory, u: Inputs) -> None:
+    """Acceleration from two GNSS velocities."""
+    v = row.vel_n
+    if row.gnss_new and plausible(abs(v[0]) + abs(v[1]) + abs(v[2]), MAX_SPEED):
+        age = row.gnss_t - memory.vel_t
         if 0.0 < age <= AID_TIMEOUT:  # False when a stamp is NaN
             for i in range(3):
-                memory[_A + i] = (row[VEL + i] - memory[_LAST_VELOCITY + i]) / age
-            memory[_A_T] = valid - 0.5 * age
-            memory[_AID_T] = row[T]
+                memory.accel_n[i] = (v[i] - memory.vel_n[i]) / age
+            memory.accel_t = row.gnss_t - 0.5 * age
+            memory.aid_t = row.t
         for i in range(3):
-            memory[_LAST_VELOCITY + i] = row[VEL + i]
-        memory[_LAST_T] = valid
-    rate_n = np.empty(3)
-    to_nav(x, x[4], x[5], x[6], rate_n)
-    angle = min(1.0, max(-1.0, rate_n[2] * (row[T] - memory[_A_T])))  # the acceleration turns with the vehicle
+            memory.vel_n[i] = v[i]
+        memory.vel_t = row.gnss_t
+    rate_n, a = local(3), memory.accel_n
+    to_nav(x.q_nb, x.rate_b[0], x.rate_b[1], x.rate_b[2], rate_n)
+    angle = min(1.0, max(-1.0, rate_n[2] * (row.t - memory.accel_t)))  # the acceleration turns with the vehicle
     cosine, sine = math.cos(angle), math.sin(angle)
-    u[0] = cosine * memory[_A] - sine * memory[_A + 1]
-    u[1] = sine * memory[_A] + cosine * memory[_A + 1]
-    u[2] = memory[_A + 2]
+    u.accel_n[0] = cosine * a[0] - sine * a[1]
+    u.accel_n[1] = sine * a[0] + cosine * a[1]
+    u.accel_n[2] = a[2]
 
 
-def _report(model: Any, x: np.ndarray, P: np.ndarray, memory: np.ndarray, row: np.ndarray) -> None:
-    report_attitude(x, row)
+def report(model: Parameters, x: State, P: np.ndarray, memory: Memory, answer: Estimate) -> None:
+    """Attitude and gyro bias."""
+    report_attitude(x.q_nb, answer)
     # small body rotation r = 2 vec(q* (x) dq): cov = 4 X P X^T with the rows of X below
-    a, b, c, d = row[E_Q], row[E_Q + 1], row[E_Q + 2], row[E_Q + 3]
+    a, b, c, d = answer.q_nb[0], answer.q_nb[1], answer.q_nb[2], answer.q_nb[3]
+    cov = answer.att_cov
     for i in range(3):
         xa, xb, xc, xd = (-b, a, d, -c) if i == 0 else (-c, -d, a, b) if i == 1 else (-d, c, -b, a)
         pa = xa * P[0, 0] + xb * P[1, 0] + xc * P[2, 0] + xd * P[3, 0]
         pb = xa * P[0, 1] + xb * P[1, 1] + xc * P[2, 1] + xd * P[3, 1]
         pc = xa * P[0, 2] + xb * P[1, 2] + xc * P[2, 2] + xd * P[3, 2]
         pd = xa * P[0, 3] + xb * P[1, 3] + xc * P[2, 3] + xd * P[3, 3]
-        row[E_COV + i] = row[E_COV + 3 * i] = 4.0 * (-b * pa + a * pb + d * pc - c * pd)
+        cov[0, i] = cov[i, 0] = 4.0 * (-b * pa + a * pb + d * pc - c * pd)
         if i >= 1:
-            row[E_COV + 3 + i] = row[E_COV + 3 * i + 1] = 4.0 * (-c * pa - d * pb + a * pc + b * pd)
+            cov[1, i] = cov[i, 1] = 4.0 * (-c * pa - d * pb + a * pc + b * pd)
         if i == 2:
-            row[E_COV + 8] = 4.0 * (-d * pa + c * pb - b * pc + a * pd)
-        row[E_GYRO_BIAS + i] = x[7 + i]
-        row[E_GYRO_SIGMA + i] = math.sqrt(P[7 + i, 7 + i])
+            cov[2, 2] = 4.0 * (-d * pa + c * pb - b * pc + a * pd)
+        answer.gyro_bias[i] = x.gyro_bias[i]
+        answer.gyro_bias_sigma[i] = math.sqrt(P[7 + i, 7 + i])
     if model.fixed_tilt > 0.0:
-        _report_fixed(model, x, memory, row)
+        _report_fixed(model, x, memory, answer)
 
 
 @inner
-def _report_fixed(model: Any, x: np.ndarray, memory: np.ndarray, row: np.ndarray) -> None:
+def _report_fixed(model: Parameters, x: State, memory: Memory, answer: Estimate) -> None:
     """Add C_bn diag(t, t, h) C_nb of the fixed errors to the covariance of a row."""
-    tilt = model.fixed_tilt
-    if model.aiding == AIR and memory[_V] >= model.speed_min:
-        rate2 = x[4] * x[4] + x[5] * x[5] + x[6] * x[6]
-        tilt += rate2 * (model.speed_scale * memory[_V] / model.gravity_n[2]) ** 2
+    tilt, w = model.fixed_tilt, x.rate_b
+    if model.aiding == AIR and memory.speed >= model.speed_min:
+        rate2 = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
+        tilt += rate2 * (model.speed_scale * memory.speed / model.gravity_n[2]) ** 2
     heading = model.fixed_heading + tilt * model.dip_slope**2
-    down = np.empty(3)
     for i in range(3):
-        down[i] = row[E_DOWN + i]
-    for i in range(3):
-        row[E_COV + 4 * i] += tilt
+        answer.att_cov[i, i] += tilt
         for j in range(3):
-            row[E_COV + 3 * i + j] += (heading - tilt) * down[i] * down[j]
+            answer.att_cov[i, j] += (heading - tilt) * answer.down_b[i] * answer.down_b[j]
 
 
-def _size(model: Any) -> int:
-    return 10
-
-
-def _changed(model: Any) -> int:
-    return 4  # the quaternion
-
-
-def _read(model: Any) -> int:
-    return 7  # quaternion and rate
-
-
-def _magnetic(model: Any) -> tuple[int, int, int]:
-    return 3, 6, 1
-
-
-register(
-    Marg,
-    size=_size,
-    changed=_changed,
-    read=_read,
-    load=_load,
-    measure=_measure,
-    propagate=_propagate,
-    transition=_transition,
-    process_noise=_process_noise,
-    observe=_observe,
-    slope=_slope,
-    measurement_noise=_measurement_noise,
-    constrain=_constrain,
-    report=_report,
-    magnetic=_magnetic,
-)
-
-_GROUPS = {  # start, rows, from, read, linear
-    NONE: [[0, 6, 0, 4, 0], [6, 3, 4, 10, 1]],
-    AIR: [[0, 6, 0, 7, 0], [6, 3, 4, 10, 1]],
-    GNSS: [[0, 6, 0, 4, 0], [6, 3, 4, 10, 1]],
-}
 _FLOOR = (1e-5, 1e-11, 1e-7)  # m/s2, T, rad/s: no sensor of a ground phase is taken for better than this
 
 
 def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignment: Alignment) -> Start:
-    """The model and its first state from settings (see the catalogue), place, sensors and alignment."""
+    """Make the model and its first state from settings, place, sensors and alignment."""
     aiding = {"none": NONE, "airspeed": AIR, "gnss": GNSS}[settings["aiding"]]
     noise, practical = settings["noise"], 0.0
     if noise == "auto":
@@ -368,14 +387,13 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
         Q_rate = settings["rate_noise"] ** 2 * np.eye(3)
         practical = 1.0
     horizontal = math.hypot(site.mag_n[0], site.mag_n[1])
-    model = Marg(
-        groups=np.array(_GROUPS[aiding], np.int64),
+    parameters = Parameters.of(
         gravity_n=np.array([0.0, 0.0, -site.gravity]),
         mag_n=np.array(site.mag_n, float),
-        R_accel=np.ascontiguousarray(R_accel),
-        R_mag=np.ascontiguousarray(R_mag),
-        R_gyro=np.ascontiguousarray(R_gyro),
-        Q_rate=np.ascontiguousarray(Q_rate),
+        R_accel=R_accel,
+        R_mag=R_mag,
+        R_gyro=R_gyro,
+        Q_rate=Q_rate,
         q_noise=1e-10,
         bias_noise=settings["bias_walk"] ** 2,
         aiding=aiding,
@@ -402,4 +420,15 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
         P[ATTITUDE, ATTITUDE] = attitude_block(alignment) + 1e-8 * np.eye(4)
         P[RATE, RATE] = 0.01**2 * np.eye(3) if alignment.still else 0.3**2 * np.eye(3)
         P[BIAS, BIAS] = np.diag(alignment.gyro_bias_sigma**2)
-    return Start(model, x, P, P_restart, memory=np.full(MEMORY, np.nan), inputs=INPUTS, measurements=9)
+    motion = 7 if aiding == AIR else 4  # w x v reads the rate as well
+    return Start(
+        parameters=parameters,
+        memory=Memory.nans(),
+        x=x,
+        P=P,
+        P_restart=P_restart,
+        changed=4,  # the quaternion
+        read=7,  # quaternion and rate
+        groups=(Group(0, 6, 0, motion, False), Group(6, 3, 4, 10, True)),
+        magnetic=(3, 6, 1),
+    )

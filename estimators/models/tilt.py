@@ -1,4 +1,4 @@
-"""M3: the direction of gravity in body axes, no heading (paper 004).
+"""The direction of gravity in body axes, no heading (Yao 2012).
 
 State (3): `s = C_bn e_down`, the paper's C31, C32, C33 in forward-right-down axes.
 
@@ -17,162 +17,202 @@ Only the part across s shows; about level axes that is x and y, and z stays as i
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from estimators.alignment import COARSE_TILT, Alignment, Start
-from estimators.generic import register
+from estimators import adaptation
+from estimators.alignment import ALIGNED, COARSE_TILT, Alignment
 from estimators.jit import inner
-from estimators.models.attitude_error import GYRO_TIMEOUT, mean_rate, rotation_slopes
-from estimators.models.base import MAX_FORCE, plausible
-from estimators.rotations import to_body
-from estimators.rows import ACCEL, E_COV, E_DOWN, E_GYRO_BIAS, T
+from estimators.models.attitude_error import GYRO_TIMEOUT, mean_rate
+from estimators.models.base import FLAGS, STATE, Group, Start
+from estimators.native import Flags3, Number, Record, Vector3, local
+from estimators.plausible import MAX_FORCE, plausible
+from estimators.records import Estimate, Sample
+from estimators.rotations import rotation_slopes, to_body
+from estimators.settings import Setting
 from estimators.types import SensorInfo, Site, Status
 
-INPUTS = 3  # rad/s, mean rate of the step less the bias
-_GYRO_T, _T, _PREDICTED, _BIAS, MEMORY = 3, 4, 5, 8, 11  # after the last rate
 _RUNNING, _COASTING = int(Status.RUNNING), int(Status.COASTING)
 
+SETTINGS = {
+    **ALIGNED,
+    "accel_sigma": Setting(0.05, "of the measured direction of gravity, in parts of gravity", above=0.0),
+    "gyro_noise": Setting(3e-4, "rad/s/sqrt(Hz), at least that, beside the data sheet's", minimum=0.0),
+    "bias_time": Setting(100.0, "s, low-pass of the gyro bias; shorter swings with the tilt", above=0.0),
+    "bias_start": Setting("aligned", "gyro bias before it is learned", ("aligned", "zero")),
+    **adaptation.settings(switch_accel=0.01),
+}
 
-class Tilt(NamedTuple):
+
+class Parameters(Record):
     """Parameters of the model."""
 
-    groups: np.ndarray  # (1, 5) int64
-    accel_variance: float  # of an element of z
-    gyro_psd: float  # rad2/s
-    bias_time: float  # s
-    bias_start: np.ndarray  # (3,) rad/s
+    accel_variance: Number  # of an element of z
+    gyro_psd: Number  # rad2/s
+    bias_time: Number  # s
+    bias_start: Vector3  # rad/s
 
 
-def _load(model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray) -> None:
-    t = row[T]
-    if math.isnan(memory[_T]):
+class State(Record, size=STATE):
+    """The state."""
+
+    down_b: Vector3  # s
+
+
+class Inputs(Record, size=STATE):
+    """The gyro."""
+
+    rate_b: Vector3  # rad/s, mean of the step less the bias
+
+
+class Memory(Record):
+    """What is kept from row to row; NaN: not yet seen."""
+
+    rate_b: Vector3  # rad/s, last gyro
+    gyro_t: Number  # s, when it was there
+    t: Number  # s, last row
+    predicted_b: Vector3  # s before the last correction
+    gyro_bias: Vector3  # rad/s, e
+
+
+class Readings(Record, size=STATE):
+    """Measurements."""
+
+    down_b: Vector3
+
+
+class Used(Record, size=FLAGS):
+    """Which of them count."""
+
+    down_b: Flags3
+
+
+def load(model: Parameters, row: Sample, x: State, memory: Memory, u: Inputs) -> None:
+    """Rate of the step, less the bias that the last correction has taught."""
+    if math.isnan(memory.t):
         for i in range(3):
-            memory[_BIAS + i] = model.bias_start[i]
-    elif math.isfinite(memory[_PREDICTED]):
-        _learn(model, t - memory[_T], x, memory)
-    memory[_T] = t
-    if mean_rate(row, memory, u) or math.isnan(memory[_GYRO_T]):
-        memory[_GYRO_T] = t
+            memory.gyro_bias[i] = model.bias_start[i]
+    elif math.isfinite(memory.predicted_b[0]):
+        _learn(model, row.t - memory.t, x.down_b, memory)
+    memory.t = row.t
+    if mean_rate(row, memory.rate_b, u.rate_b) or math.isnan(memory.gyro_t):
+        memory.gyro_t = row.t
     for i in range(3):
-        u[i] -= memory[_BIAS + i]
+        u.rate_b[i] -= memory.gyro_bias[i]
 
 
 @inner
-def _learn(model: Any, dt: float, x: np.ndarray, memory: np.ndarray) -> None:
-    """Bias from the last correction, x less what had been predicted; `dt` to the next row stands for the step's own."""
-    dx, dy, dz = x[0] - memory[_PREDICTED], x[1] - memory[_PREDICTED + 1], x[2] - memory[_PREDICTED + 2]
+def _learn(model: Parameters, dt: float, s: np.ndarray, memory: Memory) -> None:
+    """Update the bias from the last correction (corrected - predicted); uses the following dt."""
+    p, bias = memory.predicted_b, memory.gyro_bias
+    dx, dy, dz = s[0] - p[0], s[1] - p[1], s[2] - p[2]
     share = min(1.0, dt / model.bias_time) / dt if 0.0 < dt < 1.0 else 0.0
-    memory[_BIAS] += share * (x[1] * dz - x[2] * dy)
-    memory[_BIAS + 1] += share * (x[2] * dx - x[0] * dz)
-    memory[_BIAS + 2] += share * (x[0] * dy - x[1] * dx)
+    bias[0] += share * (s[1] * dz - s[2] * dy)
+    bias[1] += share * (s[2] * dx - s[0] * dz)
+    bias[2] += share * (s[0] * dy - s[1] * dx)
 
 
-def _measure(
-    model: Any, row: np.ndarray, x: np.ndarray, memory: np.ndarray, u: np.ndarray, z: np.ndarray, used: np.ndarray
-) -> int:
-    norm = math.sqrt(row[ACCEL] ** 2 + row[ACCEL + 1] ** 2 + row[ACCEL + 2] ** 2)
+def measure(model: Parameters, row: Sample, x: State, memory: Memory, u: Inputs, z: Readings, used: Used) -> int:
+    """Direction of the specific force; COASTING without it, and a while without gyro."""
+    f = row.accel_b
+    norm = math.sqrt(f[0] ** 2 + f[1] ** 2 + f[2] ** 2)
     there = plausible(norm, MAX_FORCE) and norm > 0.0
     for i in range(3):
-        memory[_PREDICTED + i] = x[i]
-        z[i] = -row[ACCEL + i] / norm if there else math.nan
-        used[i] = there
-    return _RUNNING if there and row[T] - memory[_GYRO_T] <= GYRO_TIMEOUT else _COASTING
+        memory.predicted_b[i] = x.down_b[i]
+        z.down_b[i] = -f[i] / norm if there else math.nan
+        used.down_b[i] = there
+    return _RUNNING if there and row.t - memory.gyro_t <= GYRO_TIMEOUT else _COASTING
 
 
-def _propagate(model: Any, x: np.ndarray, u: np.ndarray, dt: float, out: np.ndarray) -> None:
-    F, J = np.empty((3, 3)), np.empty((3, 3))
-    rotation_slopes(u[0] * dt, u[1] * dt, u[2] * dt, F, J)
+def propagate(model: Parameters, x: State, u: Inputs, dt: float, out: State) -> None:
+    """Turn the body under the direction."""
+    F, J, w, s = local(3, 3), local(3, 3), u.rate_b, x.down_b
+    rotation_slopes(w[0] * dt, w[1] * dt, w[2] * dt, F, J)
     for i in range(3):
-        out[i] = F[i, 0] * x[0] + F[i, 1] * x[1] + F[i, 2] * x[2]
+        out.down_b[i] = F[i, 0] * s[0] + F[i, 1] * s[1] + F[i, 2] * s[2]
 
 
-def _transition(model: Any, x: np.ndarray, u: np.ndarray, dt: float, F: np.ndarray) -> None:
-    J = np.empty((3, 3))
-    rotation_slopes(u[0] * dt, u[1] * dt, u[2] * dt, F, J)
+def transition(model: Parameters, x: State, u: Inputs, dt: float, F: np.ndarray) -> None:
+    """The rotation itself."""
+    J, w = local(3, 3), u.rate_b
+    rotation_slopes(w[0] * dt, w[1] * dt, w[2] * dt, F, J)
 
 
-def _process_noise(model: Any, x: np.ndarray, u: np.ndarray, dt: float, P: np.ndarray) -> None:
-    for i in range(3):  # noise n of the rate moves s by -n x s
+def process_noise(model: Parameters, x: State, u: Inputs, dt: float, P: np.ndarray) -> None:
+    """Noise n of the rate moves s by -n x s."""
+    s = x.down_b
+    for i in range(3):
         for j in range(3):
-            P[i, j] -= model.gyro_psd * dt * x[i] * x[j]
-        P[i, i] += model.gyro_psd * dt * (x[0] * x[0] + x[1] * x[1] + x[2] * x[2]) + 1e-12 * dt
+            P[i, j] -= model.gyro_psd * dt * s[i] * s[j]
+        P[i, i] += model.gyro_psd * dt * (s[0] * s[0] + s[1] * s[1] + s[2] * s[2]) + 1e-12 * dt
 
 
-def _observe(model: Any, group: int, x: np.ndarray, u: np.ndarray, y: np.ndarray) -> None:
+def observe(model: Parameters, group: int, x: State, u: Inputs, y: np.ndarray) -> None:
+    """The direction itself."""
     for i in range(3):
-        y[i] = x[i]
+        y[i] = x.down_b[i]
 
 
-def _slope(model: Any, group: int, x: np.ndarray, u: np.ndarray, H: np.ndarray) -> None:
+def slope(model: Parameters, group: int, x: State, u: Inputs, H: np.ndarray) -> None:
+    """Identity."""
     for i in range(3):
         for j in range(3):
             H[i, j] = 1.0 if i == j else 0.0
 
 
-def _measurement_noise(model: Any, group: int, x: np.ndarray, u: np.ndarray, S: np.ndarray) -> None:
+def measurement_noise(model: Parameters, group: int, x: State, u: Inputs, S: np.ndarray) -> None:
+    """The same for each element."""
     for i in range(3):
         S[i, i] += model.accel_variance
 
 
-def _constrain(model: Any, x: np.ndarray) -> None:
-    norm = math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
+def constrain(model: Parameters, x: State) -> None:
+    """Normalise the direction."""
+    s = x.down_b
+    norm = math.sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2])
     scale = 1.0 / norm if 0.0 < norm < math.inf else math.nan
     for i in range(3):
-        x[i] *= scale
+        s[i] *= scale
 
 
-def _report(model: Any, x: np.ndarray, P: np.ndarray, memory: np.ndarray, row: np.ndarray) -> None:
-    """Of the covariance the rotations about x and y; about s, level flight's z, nothing is known: NaN."""
+def report(model: Parameters, x: State, P: np.ndarray, memory: Memory, answer: Estimate) -> None:
+    """Down vector; of the covariance the rotations about x and y: about s, level flight's z, nothing is known (NaN)."""
+    s = x.down_b
     for i in range(3):
-        row[E_DOWN + i] = x[i]
+        answer.down_b[i] = s[i]
     # a small rotation r moves s by s x r, so r across s is -s x ds: rows of [s x] for x and y
-    a, b = (0.0, -x[2], x[1]), (x[2], 0.0, -x[0])
+    a, b = (0.0, -s[2], s[1]), (s[2], 0.0, -s[0])
     aa = ab = bb = 0.0
     for i in range(3):
         for j in range(3):
             aa += a[i] * P[i, j] * a[j]
             ab += a[i] * P[i, j] * b[j]
             bb += b[i] * P[i, j] * b[j]
-    row[E_COV], row[E_COV + 1], row[E_COV + 3], row[E_COV + 4] = aa, ab, ab, bb
-    row[E_GYRO_BIAS], row[E_GYRO_BIAS + 1] = memory[_BIAS], memory[_BIAS + 1]
-
-
-def _three(model: Any) -> int:
-    return 3
-
-
-register(
-    Tilt,
-    size=_three,
-    changed=_three,
-    read=_three,
-    load=_load,
-    measure=_measure,
-    propagate=_propagate,
-    transition=_transition,
-    process_noise=_process_noise,
-    observe=_observe,
-    slope=_slope,
-    measurement_noise=_measurement_noise,
-    constrain=_constrain,
-    report=_report,
-)
+    cov = answer.att_cov
+    cov[0, 0], cov[0, 1], cov[1, 0], cov[1, 1] = aa, ab, ab, bb
+    answer.gyro_bias[0], answer.gyro_bias[1] = memory.gyro_bias[0], memory.gyro_bias[1]
 
 
 def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignment: Alignment) -> Start:
-    """The model and its first state from settings (see the catalogue), place, sensors and alignment."""
+    """Make the model and its first state from settings, place, sensors and alignment."""
     rate_noise = max(settings["gyro_noise"], sensors.gyro_noise)
-    model = Tilt(
-        groups=np.array([[0, 3, 0, 3, 1]], np.int64),
+    parameters = Parameters.of(
         accel_variance=settings["accel_sigma"] ** 2,
         gyro_psd=0.5 * rate_noise**2,
         bias_time=settings["bias_time"],
-        bias_start=np.array(alignment.gyro_bias if settings["bias_start"] == "aligned" else np.zeros(3), float),
+        bias_start=alignment.gyro_bias if settings["bias_start"] == "aligned" else np.zeros(3),
     )
     x = np.empty(3)
     to_body(alignment.q_nb, 0.0, 0.0, 1.0, x)
     P = float(alignment.sigma_n[0]) ** 2 * np.eye(3)
-    memory = np.full(MEMORY, np.nan)
-    return Start(model, x, P, COARSE_TILT**2 * np.eye(3), memory=memory, inputs=INPUTS, measurements=3)
+    return Start(
+        parameters=parameters,
+        memory=Memory.nans(),
+        x=x,
+        P=P,
+        P_restart=COARSE_TILT**2 * np.eye(3),
+        changed=3,
+        read=3,
+        groups=(Group(0, 3, 0, 3, True),),
+    )

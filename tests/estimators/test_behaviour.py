@@ -1,5 +1,6 @@
 """What every estimator of the catalogue promises: blocks, checkpoints, bad input, convergence, turns."""
 
+import dataclasses
 import os
 import subprocess
 import sys
@@ -9,8 +10,8 @@ import pytest
 from synthetic import SITE, coordinated_turn, error_deg, flight, still
 
 import estimators
-from estimators import EstimationError, SampleError, Samples, SensorInfo, SettingError, Site, Status, create
-from estimators.rows import E_ADAPTATION, ESTIMATE_WIDTH, SAMPLE_WIDTH
+from estimators import Estimates, EstimationError, SampleError, Samples, SensorInfo, SettingError, Site, Status, create
+from estimators.records import ESTIMATE, SAMPLE
 
 MARG = ["marg-ekf", "marg-ckf", "marg-cdkf"]
 
@@ -343,25 +344,12 @@ def test_importing_the_package_is_cheap():
     subprocess.run([sys.executable, "-c", code], check=True, cwd=os.path.dirname(os.path.dirname(estimators.__file__)))  # noqa: PTH120
 
 
-def test_offsets_of_rows_follow_the_columns():
-    from estimators import rows
-
-    assert SAMPLE_WIDTH == rows.AIR_NEW + 1
-    assert ESTIMATE_WIDTH == E_ADAPTATION + 4
-    starts = {name: first for name, first, _, _ in rows._SAMPLES + rows._ESTIMATES}
-    pairs = {
-        "gyro_b": rows.GYRO, "accel_b": rows.ACCEL, "mag_b": rows.MAG, "mag_new": rows.MAG_NEW, "gnss_t": rows.GNSS_T,
-        "gnss_satellites": rows.SATELLITES, "gnss_new": rows.GNSS_NEW, "heading": rows.HEADING,
-        "heading_sigma": rows.HEADING_SIGMA, "heading_t": rows.HEADING_T, "heading_new": rows.HEADING_NEW,
-        "airspeed": rows.AIRSPEED, "alpha": rows.ALPHA, "beta": rows.BETA, "air_new": rows.AIR_NEW,
-        "q_nb": rows.E_Q, "down_b": rows.E_DOWN, "att_cov": rows.E_COV, "gyro_bias": rows.E_GYRO_BIAS,
-        "gyro_bias_sigma": rows.E_GYRO_SIGMA, "accel_bias": rows.E_ACCEL_BIAS, "accel_bias_sigma": rows.E_ACCEL_SIGMA,
-        "innovation": rows.E_INNOVATION, "innovation_var": rows.E_VARIANCE, "adaptation": rows.E_ADAPTATION,
-    }  # fmt: skip
-    for name, offset in pairs.items():
-        assert starts[name] == offset, name
-    assert [p[1] for p in rows._SAMPLES if p[0] in ("lla", "vel_n")] == [rows.LLA, rows.VEL]
-    assert [p[1] for p in rows._ESTIMATES if p[0] in ("lla", "vel_n")] == [rows.E_LLA, rows.E_VEL]
+@pytest.mark.parametrize(("record", "block"), [(SAMPLE, Samples), (ESTIMATE, Estimates)])
+def test_records_have_the_columns_of_their_blocks(record, block):
+    assert record.names == block.__match_args__
+    for field in dataclasses.fields(block):
+        assert record[field.name].shape == field.metadata["shape"], field.name
+        assert record[field.name].base == np.dtype(field.metadata["dtype"]), field.name
 
 
 @pytest.mark.parametrize("name", MARG)
@@ -373,10 +361,9 @@ def test_a_lost_filter_says_so_and_starts_again(name):
         estimator.process(samples[:1500])
         state = estimator.state()
         if spoil == "x":
-            state["carry"].z[:] = state["carry"].memory[:] = np.nan
-            state["carry"].P[:] = np.nan
+            state["filter"]["z"][:] = state["filter"]["P"][:] = np.nan
         else:
-            state["carry"].P[:] = -np.eye(10)
+            state["filter"]["P"][:] = -np.eye(10)
         estimator.restore(state)
         estimates = estimator.process(samples[1500:])
         assert estimates.status[0] == Status.DIVERGED

@@ -3,9 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from estimators.filters.base import Work
-from estimators.filters.ckf import ckf
-from estimators.filters.ekf import Ekf
+from estimators.filters import ckf, ekf
+from estimators.filters.base import Method
 from estimators.filters.gaussian_sum import (
     Bank,
     distance2,
@@ -13,13 +12,22 @@ from estimators.filters.gaussian_sum import (
     merge_pair,
     normalise_weights,
     reduce_bank,
-    step,
 )
-from estimators.models.emitter import PHASE, Emitter, look, look_noise
+from estimators.filters.gaussian_sum import step as step_by_handles
+from estimators.filters.work import Work
+from estimators.models.emitter import PHASE, Emitter, bound, look, look_noise
+from estimators.native import argument
 
 MODEL = Emitter.make()
 TARGET = np.array([60e3, 80e3])
 USED = np.ones(2, bool)
+EKF = Method(ekf, ekf.make({}))
+
+
+def step(method, bank, k, dt=0.5):
+    model = bound(MODEL, method)
+    handles = argument(method.handle), argument(model.handle)
+    return step_by_handles(*handles, bank, argument(Work.zeros()), inputs(k), measured(k), USED, dt)
 
 
 def bank_of(terms=4, seed=0, spread=3e3):
@@ -58,10 +66,10 @@ def textbook(x, P, u, z):
 
 
 def test_one_term_is_a_single_ekf():
-    bank, work = bank_of(1), Work.make(MODEL, 2)
+    bank = bank_of(1)
     x, P = bank.x[0].copy(), bank.P[0].copy()
     for k in range(1, 30):
-        assert step(Ekf(), MODEL, bank, work, inputs(k), measured(k), USED, 0.5)
+        assert step(EKF, bank, k)
         x, P, _ = textbook(x, P, inputs(k), measured(k))
         np.testing.assert_allclose(bank.x[0], x, rtol=1e-9)
         np.testing.assert_allclose(bank.P[0], P, rtol=1e-6, atol=1e-6 * np.trace(P))
@@ -69,25 +77,25 @@ def test_one_term_is_a_single_ekf():
 
 
 def test_weights_follow_the_likelihood_and_sum_to_one():
-    bank, work = bank_of(5), Work.make(MODEL, 2)
+    bank = bank_of(5)
     expected = bank.log_weight.copy()
     terms = [(x.copy(), P.copy()) for x, P in zip(bank.x, bank.P, strict=True)]
     for i, (x, P) in enumerate(terms):
         expected[i] += textbook(x, P, inputs(1), measured(1))[2]
-    assert step(Ekf(), MODEL, bank, work, inputs(1), measured(1), USED, 0.5)
+    assert step(EKF, bank, 1)
     expected -= expected.max()
     weights = np.exp(expected) / np.exp(expected).sum()
     np.testing.assert_allclose(np.exp(bank.log_weight), weights, rtol=1e-6)
     for k in range(2, 60):
-        step(Ekf(), MODEL, bank, work, inputs(k), measured(k), USED, 0.5)
+        step(EKF, bank, k)
         assert np.exp(bank.log_weight).sum() == pytest.approx(1.0, abs=1e-12)
 
 
 @pytest.mark.long  # compiles the bank for another filter
 def test_any_filter_serves():
-    bank, work = bank_of(3), Work.make(MODEL, 2)
+    bank = bank_of(3)
     for k in range(1, 10):
-        assert step(ckf(), MODEL, bank, work, inputs(k), measured(k), USED, 0.5)
+        assert step(Method(ckf, ckf.make({})), bank, k)
     assert np.linalg.eigvalsh(bank.P).min() > 0
 
 
@@ -102,9 +110,9 @@ def test_a_lost_bank_says_so():
     bank = bank_of(3)
     bank.log_weight[:] = -math.inf
     assert not normalise_weights(bank)
-    bank, work = bank_of(3), Work.make(MODEL, 2)
+    bank = bank_of(3)
     bank.P[1] = -np.eye(2) * 1e9
-    assert step(Ekf(), MODEL, bank, work, inputs(1), measured(1), USED, 0.5)  # one term is lost, not the bank
+    assert step(EKF, bank, 1)  # one term is lost, not the bank
     assert bank.log_weight[1] == -math.inf and np.exp(bank.log_weight).sum() == pytest.approx(1.0)
 
 

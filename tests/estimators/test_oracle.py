@@ -1,14 +1,13 @@
 """The compiled filters against naive ones, and the models' Jacobians against the complex step."""
 
+import kernels
 import numpy as np
 import oracle
 import pytest
 from synthetic import SITE, flight, from_euler, still
 
 from estimators import SensorInfo, create
-from estimators.alignment import Stretch, conclude
-from estimators.models import marg
-from estimators.models.base import observe, propagate, slope, transition
+from estimators.alignment import Stretch, attitude_block, conclude
 
 SETTINGS = {"align_s": 2.0, "noise": "practical", "scale_share": 0.0}
 
@@ -32,8 +31,8 @@ def test_a_filter_equals_its_naive_oracle(name, naive, initialisation, steps, to
     estimator = create(f"marg-{name}", site=SITE, initialisation=initialisation, **SETTINGS)
     first = 201 if initialisation == "aligned" else 1
     estimator.process(samples[:first])  # ends after the first row of the filter
-    model, carry = (estimator.state()[key] for key in ("model", "carry"))
-    last = carry.clock[0]
+    model, kept = estimator.parameters, estimator.state()["filter"]
+    last = float(kept["clock"])
     assert last == samples.t[first - 1]
     Q = np.zeros((10, 10))
     Q[range(4), range(4)] = model.q_noise
@@ -41,27 +40,25 @@ def test_a_filter_equals_its_naive_oracle(name, naive, initialisation, steps, to
     R = np.zeros((9, 9))
     R[:3, :3], R[3:6, 3:6], R[6:, 6:] = model.R_accel, model.R_mag, model.R_gyro
     rest = samples[first : first + steps]
-    states, P = oracle.run(naive(), oracle.Marg(SITE.gravity, SITE.mag_n), carry.x, carry.P, Q, R, rest, last)
+    states, P = oracle.run(naive(), oracle.Marg(SITE.gravity, SITE.mag_n), kept["x"], kept["P"], Q, R, rest, last)
     estimates = estimator.process(rest)
     got = np.hstack([estimates.q_nb, estimates.gyro_bias])
     assert len(got) == steps
     np.testing.assert_allclose(got, states[:, [0, 1, 2, 3, 7, 8, 9]], rtol=tolerance, atol=tolerance)
-    np.testing.assert_allclose(estimator.state()["carry"].P, P, rtol=1e-5, atol=1e-12 if steps > 100 else 1e-3)
+    np.testing.assert_allclose(estimator.state()["filter"]["P"], P, rtol=1e-5, atol=1e-12 if steps > 100 else 1e-3)
 
 
 @pytest.mark.parametrize("aiding", ["none", "airspeed"])
 def test_jacobians_are_the_complex_step(aiding):
     estimator = create("marg-ekf", site=SITE, initialisation="paper", noise="practical", aiding=aiding)
-    model = estimator.state()["model"]
+    model = kernels.of(estimator)
     naive = oracle.Marg(SITE.gravity, SITE.mag_n)
     rng = np.random.default_rng(5)
     for scale in (1e-6, 0.3, 30.0):  # both branches of the exponential
         x = np.concatenate([from_euler(0.3, -0.4, 2.0), scale * rng.normal(size=3), rng.normal(size=3) * 0.01])
         u = np.concatenate([np.zeros(3), [20.0, 1.0, -2.0], [0.5, 0.1, 0.2], [1.0]]) * (aiding == "airspeed")
-        out, F = np.zeros(10), np.zeros((4, 10))
-        propagate(model, x, u, 0.01, out)
-        np.testing.assert_allclose(out, naive.f(x, 0.01), atol=1e-15)
-        transition(model, x, u, 0.01, F)
+        np.testing.assert_allclose(model.propagate(x, u, 0.01), naive.f(x, 0.01), atol=1e-15)
+        F = model.transition(x, u, 0.01)
         np.testing.assert_allclose(F[:, :7], oracle.slope(lambda v: naive.f(v, 0.01), x)[:4, :7], atol=1e-14)
 
         def h(v, u=u):
@@ -69,13 +66,11 @@ def test_jacobians_are_the_complex_step(aiding):
             return y + np.concatenate([np.cross(v[4:7], u[3:6]) + u[6:9], np.zeros(6)])
 
         for group, rows in ((0, slice(0, 6)), (1, slice(6, 9))):
-            first, end = model.groups[group, 2:4]
-            y, H = np.zeros(6), np.zeros((6, 10))
-            observe(model, group, x, u, y)
-            np.testing.assert_allclose(y[: rows.stop - rows.start], h(x)[rows], atol=1e-13)
-            slope(model, group, x, u, H)
+            first, end = model.groups[group].first, model.groups[group].end
+            np.testing.assert_allclose(model.observe(group, x, u), h(x)[rows], atol=1e-13)
+            H = model.slope(group, x, u)
             expected = oracle.slope(h, x)[rows]
-            np.testing.assert_allclose(H[: rows.stop - rows.start, first:end], expected[:, first:end], atol=1e-13)
+            np.testing.assert_allclose(H[:, first:end], expected[:, first:end], atol=1e-13)
             expected[:, first:end] = 0.0
             assert not expected.any(), "the group depends on states it does not declare"
 
@@ -83,7 +78,7 @@ def test_jacobians_are_the_complex_step(aiding):
 def test_an_alignment_of_nothing_is_coarse_and_finite():
     alignment = conclude(Stretch.make(), False, SITE, SensorInfo())
     assert np.isfinite(alignment.q_nb).all()
-    assert np.isfinite(marg.attitude_block(alignment)).all()
+    assert np.isfinite(attitude_block(alignment)).all()
 
 
 def test_the_covariance_is_symmetric_and_positive_for_hours_of_updates():
@@ -93,6 +88,6 @@ def test_the_covariance_is_symmetric_and_positive_for_hours_of_updates():
         for hour in range(12):
             moved = type(samples)(*(samples.t + 60.0 * hour, *(getattr(samples, f) for f in samples.__slots__[1:])))
             estimator.process(moved)
-            P = estimator.state()["carry"].P
+            P = estimator.state()["filter"]["P"]
             assert (P == P.T).all()
             assert np.linalg.eigvalsh(P).min() > 0.0

@@ -1,14 +1,14 @@
-"""Models of M2, M3 and M4: Jacobians against finite differences, filters against naive ones, their promises."""
+"""Models of the papers: Jacobians against finite differences, filters against naive ones, their promises."""
 
+import kernels
 import numpy as np
 import pytest
 from synthetic import SITE, error_deg, flight, from_euler, matrix_bn
 
 from estimators import SensorInfo, create
-from estimators.adaptation import base, fuzzy, gating
-from estimators.filters.base import Work, predict
-from estimators.filters.ukf import ukf
-from estimators.models.base import difference, observe, propagate, residual, retract, slope, transition
+from estimators.adaptation import fuzzy, gating
+from estimators.filters import ukf
+from estimators.filters.base import Method
 
 NAMES = ["fakf", "sekf", "ins9-ekf"]
 
@@ -21,13 +21,11 @@ def swaying(seconds=30.0, **options):
 
 
 def begun(name, **settings):
-    """An estimator just aligned, with its model and memory."""
+    """The kernels of an estimator just aligned."""
     samples, _ = swaying(5.0)
     estimator = create(name, site=SITE, align_s=2.0, **settings)
     estimator.process(samples[:300])
-    state = estimator.state()
-    assert state["carry"] is not None
-    return estimator, state["model"], state["carry"]
+    return kernels.of(estimator)
 
 
 def state_of(name, rng):
@@ -45,10 +43,9 @@ def by_differences(function, model, x, n):
     for i in range(n):
         moved = []
         for sign in (1.0, -1.0):
-            out, dx = np.empty_like(x), np.zeros(n)
+            dx = np.zeros(n)
             dx[i] = sign * eps
-            retract(model, x, dx, out)
-            moved.append(function(out))
+            moved.append(function(model.retract(x, dx)))
         columns.append((moved[0] - moved[1]) / (2 * eps))
     return np.array(columns).T
 
@@ -56,36 +53,22 @@ def by_differences(function, model, x, n):
 @pytest.mark.parametrize("name", NAMES)
 def test_jacobians_are_the_differences(name):
     rng = np.random.default_rng(2)
-    _, model, carry = begun(name)
-    n, x = len(carry.P), state_of(name, rng)
-    u = np.zeros(len(carry.u))
-    u[:3] = 0.4, -0.9, 0.7
+    model = begun(name)
+    n, x = model.size, state_of(name, rng)
+    u = np.array([0.4, -0.9, 0.7, 0.0, 0.0, 0.0])
     if name == "ins9-ekf":
         u[3:6] = 1.0, -2.0, -9.5
-    centre = np.empty_like(x)
-    propagate(model, x, u, 0.05, centre)
+    centre = model.propagate(x, u, 0.05)
 
     def error(moved):
-        after, out = np.empty_like(x), np.empty(n)
-        propagate(model, moved, u, 0.05, after)
-        difference(model, after, centre, out)
-        return out if name != "fakf" else np.concatenate([out[:3], np.zeros(3)])
+        return model.difference(model.propagate(moved, u, 0.05), centre)
 
-    F = np.zeros((n, n))
-    transition(model, x, u, 0.05, F)
-    found = by_differences(error, model, x, n)
-    rows = 3 if name == "fakf" else n
-    np.testing.assert_allclose(F[:rows], found[:rows], atol=5e-6)
+    np.testing.assert_allclose(model.transition(x, u, 0.05), by_differences(error, model, x, n), atol=5e-6)
     for group, (_, rows, first, end, _) in enumerate(model.groups):
-        y, H = np.empty(max(rows, 3)), np.zeros((max(rows, 3), n))
-        observe(model, group, x, u, y)
-        slope(model, group, x, u, H)
+        y, H = model.observe(group, x, u), model.slope(group, x, u)
 
-        def h(moved, group=group, y=y, rows=rows):
-            out = np.empty_like(y)
-            observe(model, group, moved, u, out)
-            residual(model, group, out, y, out)
-            return out[:rows]
+        def h(moved, group=group, y=y):
+            return model.residual(group, model.observe(group, moved, u), y)
 
         found = by_differences(h, model, x, n)
         scale = np.abs(found).max()
@@ -96,17 +79,15 @@ def test_jacobians_are_the_differences(name):
 
 @pytest.mark.parametrize("a", [0.0, 0.5, 1.0])
 def test_rodrigues_parameters_come_back(a):
-    _, model, _ = begun("ins9-ekf", rodrigues_a=a)
+    model = begun("ins9-ekf", rodrigues_a=a)
     rng = np.random.default_rng(3)
     x = state_of("ins9-ekf", rng)
     for size in (1e-6, 0.1, 1.5):
         dx = np.concatenate([size * rng.normal(size=3), 10 * rng.normal(size=3), rng.normal(size=3)])
-        out, back = np.empty(10), np.empty(9)
-        retract(model, x, dx, out)
+        out = model.retract(x, dx)
         assert abs(np.linalg.norm(out[:4]) - 1) < 1e-12
-        difference(model, out, x, back)
-        np.testing.assert_allclose(back, dx, atol=1e-8)
-    retract(model, x, np.array([1e-4, 0, 0, 0, 0, 0, 0, 0, 0.0]), out)
+        np.testing.assert_allclose(model.difference(out, x), dx, atol=1e-8)
+    out = model.retract(x, np.array([1e-4, 0, 0, 0, 0, 0, 0, 0, 0.0]))
     assert error_deg(out[:4], x[:4])[0] == pytest.approx(np.degrees(1e-4), rel=1e-4)
 
 
@@ -131,37 +112,30 @@ class Oracle:
 
 @pytest.mark.parametrize("settings", [(1.0, 2.0, 0.0), (0.5, 2.0, 1.0), (1.0, 0.0, 0.0)])
 def test_the_unscented_prediction_equals_its_oracle(settings):
-    _, model, carry = begun("ins9-ukf")
+    model = begun("ins9-ukf")
     rng = np.random.default_rng(4)
     x = state_of("ins9-ukf", rng)
     root = rng.normal(size=(9, 9)) * np.repeat([0.05, 1.0, 0.3], 3)[:, None]
     P = root @ root.T
-    u = np.zeros(len(carry.u))
-    u[:6] = 0.4, -0.9, 0.7, 1.0, -2.0, -9.5
-    centre = np.empty(10)
-    propagate(model, x, u, 0.05, centre)
+    u = np.array([0.4, -0.9, 0.7, 1.0, -2.0, -9.5])
+    centre = model.propagate(x, u, 0.05)
 
     def error(dx):
-        moved, after, out = np.empty(10), np.empty(10), np.empty(9)
-        retract(model, x, dx, moved)
-        propagate(model, moved, u, 0.05, after)
-        difference(model, after, centre, out)
-        return out
+        return model.difference(model.propagate(model.retract(x, dx), u, 0.05), centre)
 
     mean, cov = Oracle(*settings).moments(error, 9, P)
-    expected = np.empty(10)
-    retract(model, centre, mean, expected)
-    cov[range(3), range(3)] += model.gyro_psd * 0.05
+    expected = model.retract(centre, mean)
+    cov[range(3), range(3)] += model.parameters.gyro_psd * 0.05
     cov[range(3, 6), range(3, 6)] += 1e-6 * 0.05
-    cov[range(6, 9), range(6, 9)] += model.accel_psd * 0.05
-    got, got_P = x.copy(), P.copy()
-    assert predict(ukf(*settings), model, got, got_P, u, 0.05, Work.make(model, 10))
+    cov[range(6, 9), range(6, 9)] += model.parameters.accel_psd * 0.05
+    method = Method(ukf, ukf.make(dict(zip(("alpha", "beta", "kappa"), settings, strict=True))))
+    got, got_P = model.predict(method, x, P, u, 0.05)
     np.testing.assert_allclose(got, expected, atol=1e-9)
     np.testing.assert_allclose(got_P, cov, atol=1e-9)
 
 
 def naive_adaptive(samples, x, P, last, last_gyro, model, policy):
-    """M2 with dense matrices and fuzzy weights, from the formulas."""
+    """The model of Tian 2011 with dense matrices and fuzzy weights, from the formulas."""
     q, e = x[:4].copy(), x[4:].copy()
     factor, smooth, count = np.ones(2), np.zeros(2), np.zeros(2)
     vectors, noises = (model.gravity_n, model.mag_n), (model.R_accel, model.R_mag)
@@ -215,12 +189,12 @@ def test_the_fuzzy_filter_equals_its_naive_oracle():
     estimator = create("fakf", site=SITE, align_s=2.0, noise="sensors")
     estimator.process(samples[:210])
     state = estimator.state()
-    carry, model = state["carry"], state["model"]
-    carry.trust[:] = 0.0  # the policy from here on
+    kept, model = state["filter"], estimator.parameters
+    kept["trust"][:] = 0.0  # the policy from here on
     estimator.restore(state)
-    policy = fuzzy.Fuzzy(0.98, 0.1, 1e6)
+    policy = fuzzy.Parameters.of(memory=0.98, lowest=0.1, highest=1e6)
     last_gyro = samples.gyro_b[209]
-    q, e, factor = naive_adaptive(samples[210:], carry.x, carry.P, carry.clock[0], last_gyro, model, policy)
+    q, e, factor = naive_adaptive(samples[210:], kept["x"], kept["P"], float(kept["clock"]), last_gyro, model, policy)
     estimates = estimator.process(samples[210:])
     np.testing.assert_allclose(estimates.q_nb[-1] * np.sign(estimates.q_nb[-1] @ q), q, atol=1e-9)
     np.testing.assert_allclose(estimates.gyro_bias[-1], e, atol=1e-9)
@@ -276,11 +250,6 @@ def test_the_gate_counts_as_chi_square():
         assert gating.distance2(S - np.eye(6), np.eye(6), error, used, 3, 6, np.empty((6, 6))) == pytest.approx(
             expected, rel=1e-9
         )
-
-
-def test_sensors_are_counted_through_the_groups():
-    _, model, _ = begun("ins9-ekf")
-    assert [base.first_sensor(model, g) for g in range(3)] == [0, 2, 3]
 
 
 @pytest.mark.parametrize("name", ["fakf", "sekf", "ins9-ukf"])

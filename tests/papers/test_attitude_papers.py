@@ -20,7 +20,7 @@ def test_a_motion_is_measured_and_estimated_without_a_log():
     assert np.diff(slow.samples.t).mean() == pytest.approx(0.05)
     rest, turned = bench.turned(measured.create("marg-ekf", align_s=10.0), measured.samples, 30.0)
     assert len(rest) < len(measured.samples)
-    headings = [attitude.euler(q[None])[0, 2] for q in (turned.state()["carry"].x[:4], flown.truth.q_nb[0])]
+    headings = [attitude.euler(q[None])[0, 2] for q in (turned.state()["filter"]["x"][:4], flown.truth.q_nb[0])]
     assert np.degrees(headings[0] - headings[1]) == pytest.approx(30.0, abs=0.1)
 
 

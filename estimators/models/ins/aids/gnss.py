@@ -1,0 +1,115 @@
+"""GNSS velocity and position, differenced with the state kept from the time of the fix (latency)."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from estimators.earth import apart
+from estimators.jit import inner
+from estimators.models.ins.layout import BG, P_, RING_ANGLES, Kept, Motion, Shared, State, V
+from estimators.models.ins.mechanisation import acceleration2
+from estimators.native import Flag, Number, Record, Vector3, local
+from estimators.past import recall
+from estimators.plausible import MAX_SPEED, on_earth, plausible
+from estimators.records import Sample
+from estimators.settings import Setting
+from estimators.types import SensorInfo, Site
+
+NAME = READS_AS = "gnss"
+ANGLE, REPORTED = False, True
+UP = 1.5  # satellites are all above: vertical errors are larger by about that
+
+SETTINGS = {
+    "velocity_share": Setting(1.0, "of the receiver's velocity sigma", above=0.0),
+    "position_share": Setting(0.2, "of the receiver's position sigma, noise from fix to fix", above=0.0),
+    "position_time": Setting(60.0, "s, over which the rest of a fix's error wanders", above=0.0),
+    "gnss_time": Setting(0.02, "s, error of the time of a fix: noise while accelerating", minimum=0.0),
+}
+
+
+class Parameters(Record):
+    """Parameters of the aid."""
+
+    fitted: Flag
+    velocity: Number  # m/s
+    position: Number  # m, from fix to fix
+    time2: Number  # s2, of the time of a fix
+
+
+class Memory(Record):
+    """Nothing of its own."""
+
+    nothing: Number
+
+
+class Readings(Record):
+    """Of the IMU's place: what the receiver says now, less what the antenna was then."""
+
+    vel_n: Vector3  # m/s
+    place_n: Vector3  # m from the origin
+
+
+def parameters(settings: Mapping[str, Any], site: Site, sensors: SensorInfo) -> Any:
+    """Make the parameters."""
+    return Parameters.of(
+        fitted="gnss" in settings["aiding"],
+        velocity=max(settings["velocity_share"] * sensors.gnss_vel, 1e-3),
+        position=max(settings["position_share"] * sensors.gnss_pos, 1e-3),
+        time2=settings["gnss_time"] ** 2,
+    )
+
+
+def reads(states: int) -> tuple[int, int]:
+    """Velocity and position."""
+    return V, BG
+
+
+@inner
+def measure(
+    own: Parameters, model: Shared, row: Sample, x: State, kept: Memory, memory: Kept, u: Motion, z: Readings,
+    variance: Readings, used: Any,
+) -> None:  # fmt: skip
+    """Take every fix whose time the ring still knows."""
+    if not (own.fitted and row.gnss_new):
+        return
+    then, there, here = local(7), local(3), local(3)
+    if not recall(memory.ring, row.gnss_t, RING_ANGLES, then):
+        return
+    accelerating2 = acceleration2(model, x, u)
+    apart(row.lla, then[3:6], there)
+    apart(x.lla, model.origin, here)
+    place, complete = on_earth(row.lla[0], row.lla[1], row.lla[2]), True
+    for i in range(3):
+        speed, wide = row.vel_n[i], UP if i == 2 else 1.0
+        # innovation against the state of then, put on top of the state of now
+        z.vel_n[i] = x.vel_n[i] + (speed - then[i])
+        z.place_n[i] = here[i] + there[i]
+        variance.vel_n[i] = (wide * own.velocity) ** 2 + own.time2 * accelerating2
+        variance.place_n[i] = (wide * own.position) ** 2
+        known = plausible(speed, MAX_SPEED)
+        used.vel_n[i], used.place_n[i] = known, place and plausible(there[i], 1e6)
+        complete &= known
+    memory.fixed = used.vel_n[0] != 0
+    if complete:
+        v = row.vel_n
+        memory.speed = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+        memory.aid_t = memory.fix_t = row.t
+
+
+@inner
+def observe(own: Parameters, model: Shared, x: State, u: Motion, y: np.ndarray) -> None:
+    """Velocity, and place from the origin."""
+    metres = local(3)
+    apart(x.lla, model.origin, metres)
+    for i in range(3):
+        y[i] = x.vel_n[i]
+        y[3 + i] = metres[i]
+
+
+@inner
+def slope(own: Parameters, model: Shared, x: State, u: Motion, H: np.ndarray) -> None:
+    """Identity."""
+    for i in range(3):
+        H[i, V + i] = H[3 + i, P_ + i] = 1.0

@@ -1,0 +1,85 @@
+"""Samples and estimates as one record a row, as the kernels take them."""
+
+from typing import Annotated
+
+import numpy as np
+
+from estimators.errors import SampleError
+from estimators.native import Flag, Matrix3, Number, Record, Vector3, Vector4, shaped
+from estimators.types import MEASUREMENTS, Estimates, Samples, real
+
+Innovations = Annotated[np.ndarray, shaped(MEASUREMENTS)]
+
+
+class Sample(Record):
+    """A row of `Samples`: the same names."""
+
+    t: Number
+    gyro_b: Vector3
+    accel_b: Vector3
+    mag_b: Vector3
+    mag_new: Flag
+    lla: Vector3
+    vel_n: Vector3
+    gnss_t: Number
+    gnss_satellites: Number
+    gnss_new: Flag
+    heading: Number
+    heading_sigma: Number
+    heading_t: Number
+    heading_new: Flag
+    airspeed: Number
+    alpha: Number
+    beta: Number
+    air_new: Flag
+
+
+class Estimate(Record):
+    """A row of `Estimates`: the same names."""
+
+    t: Number
+    status: Annotated[int, np.dtype(np.uint8)]
+    q_nb: Vector4
+    down_b: Vector3
+    att_cov: Matrix3
+    gyro_bias: Vector3
+    gyro_bias_sigma: Vector3
+    accel_bias: Vector3
+    accel_bias_sigma: Vector3
+    lla: Vector3
+    vel_n: Vector3
+    innovation: Innovations
+    innovation_var: Innovations
+    adaptation: Vector4
+
+
+SAMPLE, ESTIMATE = Sample.dtype, Estimate.dtype
+_NOTHING = Estimate.nans().data
+
+
+def pack(samples: Samples) -> np.ndarray:
+    """Records (n,) of a block.
+
+    Raises:
+        SampleError: a column whose shape does not fit the time stamps (n,), or whose type is not that of real numbers.
+    """
+    n = len(real("t", samples.t))
+    rows = np.empty(n, SAMPLE)
+    for name in Samples.__match_args__:
+        column, field = real(name, getattr(samples, name)), rows[name]
+        if column.shape != field.shape:
+            raise SampleError(f"Samples: {name} has shape {column.shape}, expected {field.shape}")
+        field[...] = column
+    for name in ("accel_b", "mag_b"):  # zero on all axes is a dead sensor, not a measurement
+        rows[name][~rows[name].any(axis=1)] = np.nan
+    return rows
+
+
+def blank_estimates(n: int) -> np.ndarray:
+    """Records (n,) of nothing: NaN, status ALIGNING."""
+    return np.full(n, _NOTHING)
+
+
+def unpack(rows: np.ndarray) -> Estimates:
+    """`Estimates` with contiguous columns from records (n,)."""
+    return Estimates(**{name: np.ascontiguousarray(rows[name]) for name in Estimates.__match_args__})
