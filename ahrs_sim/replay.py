@@ -304,11 +304,11 @@ def _run(
         raise FlightError(f"{failed}; the log is complete: {output}")
 
 
-def _as_estimates(attitude: Any) -> Estimates:
+def _as_estimates(record: Any) -> Estimates:
     """Attitudes that somebody else's estimator has written."""
-    known = np.isfinite(attitude.q_nb).all(axis=1)
+    known = np.isfinite(record.q_nb).all(axis=1)
     columns = blank(Estimates, int(known.sum()))
-    columns["t"], columns["q_nb"] = attitude.stamp_ns[known] / 1e9, attitude.q_nb[known]
+    columns["t"], columns["q_nb"] = record.stamp_ns[known] / 1e9, record.q_nb[known]
     columns["down_b"] = attitude.down(columns["q_nb"])
     return Estimates(**columns)
 

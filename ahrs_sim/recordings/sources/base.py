@@ -1,5 +1,6 @@
 """What all sources share: the interface, the layout of standard messages, recordings that are held in memory."""
 
+import functools
 import importlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -116,10 +117,19 @@ def laid_out(columns: Columns) -> np.ndarray:
     return out
 
 
+@functools.cache
+def _own_dtype(type_name: str) -> np.dtype[Any]:
+    return _dtype(type_name, messages.definitions(type_name))
+
+
+def _dtype(type_name: str, definitions: Definitions) -> np.dtype[Any]:
+    inner = message_dtype(definitions, type_name)
+    return np.dtype([("log_time", "<i8"), *((f, inner[f]) for f in inner.names or ())])
+
+
 def dtype_of(type_name: str, definitions: Definitions | None = None) -> np.dtype[Any]:
     """Type of arrays of messages: `log_time` (ns), then their fields; our own definitions unless others are given."""
-    inner = message_dtype(definitions or messages.definitions(type_name), type_name)
-    return np.dtype([("log_time", "<i8"), *((f, inner[f]) for f in inner.names or ())])
+    return _dtype(type_name, definitions) if definitions else _own_dtype(type_name)
 
 
 class Held:

@@ -70,10 +70,12 @@ class Messages:
             raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
         lengths = np.zeros(256, np.int64)
         lengths[scan.FMT] = scan.FMT_LENGTH
-        nothing = np.empty(0, np.int64)
-        self.count, _ = scan.dataflash(self._data, lengths, nothing, nothing.view(np.uint8))
-        offsets, kinds = np.empty(self.count, np.int64), np.empty(self.count, np.uint8)
-        _, self.lost = scan.dataflash(self._data, lengths, offsets, kinds)
+        self.count, room = self._data.size // 16 + 1, 0
+        while self.count > room:  # messages are rarely so short that the first guess is too small
+            room = self.count
+            offsets, kinds = np.empty(room, np.int64), np.empty(room, np.uint8)
+            self.count, self.lost = scan.dataflash(self._data, lengths, offsets, kinds)
+        offsets, kinds = offsets[: self.count], kinds[: self.count]
         order = np.argsort(kinds, kind="stable")
         self._offsets, bounds = offsets[order], np.searchsorted(kinds[order], np.arange(257))
         self._rows = {k: slice(int(bounds[k]), int(bounds[k + 1])) for k in range(256) if bounds[k] < bounds[k + 1]}

@@ -30,32 +30,35 @@ def _dataflash_step(data: np.ndarray, lengths: np.ndarray, at: int) -> int:  # p
 def dataflash(
     data: np.ndarray, lengths: np.ndarray, offsets: np.ndarray, kinds: np.ndarray
 ) -> tuple[int, int]:  # pragma: no cover
-    """Find all messages of a DataFlash log; with empty arrays for the results, only count them.
+    """Find all messages of a DataFlash log.
 
     Args:
         data: (n,) uint8, the file.
         lengths: (256,) int64 of the types, zeros but for FMT; filled in from the log's own FMT messages.
-        offsets: (messages,) int64, filled in.
+        offsets: int64, filled in, as many as fit.
         kinds: likewise uint8: the type of each.
 
     Returns:
         Number of messages, and of bytes that belong to none.
     """
-    at, count, lost, skipped = 0, 0, 0, 0
+    at, count, lost = 0, 0, 0
     n = data.size
+    length = _dataflash_step(data, lengths, at)
     while at < n:
-        length = _dataflash_step(data, lengths, at)
-        if length > 0 and _dataflash_step(data, lengths, at + length) == 0 and at + length < n and data[at + 2] != FMT:
-            length = 0  # a head alone may be chance, or the rest of the message lost: another must follow
-        if length <= 0:
-            at, lost, skipped = at + 1, lost + 1, skipped + 1
-            continue
-        kind = data[at + 2]
-        if kind == FMT and data[at + 4] >= 3 and lengths[data[at + 3]] == 0:
+        good = length > 0
+        if good and data[at + 2] == FMT and data[at + 4] >= 3 and lengths[data[at + 3]] == 0:
             lengths[data[at + 3]] = data[at + 4]
+        following = 0
+        if good and at + length < n:  # a head alone may be chance, or the rest of the message lost: another must follow
+            following = _dataflash_step(data, lengths, at + length)
+            good = following != 0
+        if not good:
+            at, lost = at + 1, lost + 1
+            length = _dataflash_step(data, lengths, at)
+            continue
         if count < offsets.size:
-            offsets[count], kinds[count] = at, kind
-        at, count, skipped = at + length, count + 1, 0
+            offsets[count], kinds[count] = at, data[at + 2]
+        at, count, length = at + length, count + 1, following
     return count, lost
 
 
@@ -94,7 +97,7 @@ def _ulog_follows(
         if at >= end:
             return at == end
         length = _ulog_step(data, sizes, shortest, at)
-        if length == 0 or (length < 0 and end - at > 1000):
+        if length == 0 or (length < 0 and end - at > _LONG):
             return False
         if length < 0:
             return True
@@ -104,9 +107,15 @@ def _ulog_follows(
 
 @njit
 def ulog(
-    data: np.ndarray, start: int, end: int, sizes: np.ndarray, shortest: np.ndarray, offsets: np.ndarray
+    data: np.ndarray,
+    start: int,
+    end: int,
+    sizes: np.ndarray,
+    shortest: np.ndarray,
+    with_data: bool,
+    offsets: np.ndarray,
 ) -> tuple[int, int]:  # pragma: no cover
-    """Find all messages of a ULog between `start` and `end`; with an empty `offsets`, only count them.
+    """Find the messages of a ULog between `start` and `end`.
 
     Args:
         data: (n,) uint8, the file.
@@ -114,24 +123,34 @@ def ulog(
         end: where to stop.
         sizes: (65536,) int64, of the data of each subscription; -1: any, -2: there is none of this number.
         shortest: likewise, without trailing padding.
-        offsets: (messages,) int64, filled in.
+        with_data: data messages are wanted, too.
+        offsets: filled in, as many as fit.
 
     Returns:
-        Number of messages, and of bytes that belong to none.
+        Number of messages wanted, and of bytes that belong to none.
     """
     at, count, lost, skipped = start, 0, 0, 0
+    length = _ulog_step(data, sizes, shortest, at)
     while at < end:
-        length = _ulog_step(data, sizes, shortest, at)
-        if skipped and length > _LONG and sizes[int(data[at + 3]) | int(data[at + 4]) << 8] + 5 != length:
-            length = 0  # a long message by chance would hide all that it covers
-        if length > 0 and not _ulog_follows(data, sizes, shortest, at + length, end, 3 if skipped else 1):
-            length = 0  # a head alone may be chance, or the rest of the message lost: others must follow
-        if length <= 0 or at + length > end:
+        after, following = at + length, 0
+        good = length > 0 and after <= end
+        if good and after < end:  # a head alone may be chance, or the rest of the message lost: another must follow
+            following = _ulog_step(data, sizes, shortest, after)
+            good = following > 0 or (following < 0 and end - after <= _LONG)
+        if good and skipped:
+            number = np.int64(data[at + 3]) | np.int64(data[at + 4]) << 8 if length > 4 else np.int64(0)
+            # A long message by chance would hide all that it covers.
+            fitting = data[at + 2] == 68 and sizes[number] + 5 == length
+            good = (length <= _LONG or fitting) and _ulog_follows(data, sizes, shortest, after, end, 3)
+        if not good:
             at, lost, skipped = at + 1, lost + 1, skipped + 1
+            length = _ulog_step(data, sizes, shortest, at)
             continue
-        if count < offsets.size:
-            offsets[count] = at
-        at, count, skipped = at + length, count + 1, 0
+        if with_data or data[at + 2] != 68:
+            if count < offsets.size:
+                offsets[count] = at
+            count += 1
+        at, length, skipped = after, following, 0
     return count, lost
 
 

@@ -71,7 +71,7 @@ class Messages:
         if self._data.size < 16 or self._data[:7].tobytes() != MAGIC:
             raise InputError(f"{path}: no ULog: it does not start as one")
         free = np.full(65536, -1, np.int64)
-        heads = self._scanned(free, np.zeros_like(free), self._parts(16))
+        heads = self._scanned(free, np.zeros_like(free), self._parts(16), with_data=False)
         self._formats = self._described(heads)
         self._subscriptions = dict(self._announced(heads))
         if not self._subscriptions:
@@ -79,7 +79,7 @@ class Messages:
         sizes, shortest = np.full(65536, -2, np.int64), np.zeros(65536, np.int64)
         for number, s in self._subscriptions.items():
             sizes[number], shortest[number] = s.dtype.itemsize, s.shortest
-        offsets = self._scanned(sizes, shortest, self._parts(16))
+        offsets = self._scanned(sizes, shortest, self._parts(16), with_data=True)
         kinds = self._data[offsets + 2]
         at = offsets[kinds == ord("D")]
         numbers = self._data[at + 3].astype(np.int64) | self._data[at + 4].astype(np.int64) << 8
@@ -104,13 +104,17 @@ class Messages:
         edges = [start, *appended, end]
         return list(itertools.pairwise(edges))
 
-    def _scanned(self, sizes: np.ndarray, shortest: np.ndarray, parts: list[tuple[int, int]]) -> np.ndarray:
+    def _scanned(
+        self, sizes: np.ndarray, shortest: np.ndarray, parts: list[tuple[int, int]], *, with_data: bool
+    ) -> np.ndarray:
         found, self.lost = [], 0
         for start, end in parts:
-            count, _ = scan.ulog(self._data, start, end, sizes, shortest, np.empty(0, np.int64))
-            offsets = np.empty(count, np.int64)
-            _, lost = scan.ulog(self._data, start, end, sizes, shortest, offsets)
-            found.append(offsets)
+            count, room = (end - start) // (16 if with_data else 1000) + 100, 0
+            while count > room:  # messages are rarely so short that the first guess is too small
+                room = count
+                offsets = np.empty(room, np.int64)
+                count, lost = scan.ulog(self._data, start, end, sizes, shortest, with_data, offsets)
+            found.append(offsets[:count])
             self.lost += lost
         return np.concatenate(found)
 
