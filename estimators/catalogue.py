@@ -108,7 +108,7 @@ _METHODS = (
     ),
     Method(
         "air-ins", "Inertial navigator in the air mass: airspeed as body velocity, magnetic heading", _OWN,
-        "", "ins", {"aiding": "airspeed", "accel_noise": 0.15},
+        "", "ins", {"aiding": "airspeed", "accel_noise": 0.15, "heading_aid": False},
     ),
     Method(
         "hand-ins", "Inertial navigator that stays where it is: hand-held, no velocity aid", _OWN,

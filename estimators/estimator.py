@@ -116,7 +116,7 @@ class FilterEstimator:
         if done < n:
             self._estimate(rows, out, done)
             if self._late:
-                self._to_stamp_time(*passed(rows, out), done, n, self._delays[0])
+                self._to_stamp_time(*passed(rows, out), done, n, *self._delays[:2], self.site.gravity)
         return unpack(out)
 
     def _check_stamps(self, rows: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""Sensors whose values are old when they are stamped: all brought to the gyro's time, the attitude then to the stamp's.
+"""Sensors whose values are old when they are stamped: all brought to the gyro's time, estimates then to the stamp's.
 
 The value at stamp t was true at t - delay (`SensorInfo`). The attitude that the gyro carries is then that of t - delay
 of the gyro; a vector v that another sensor saw tau earlier is, in the axes of that moment,
@@ -7,7 +7,8 @@ of the gyro; a vector v that another sensor saw tau earlier is, in the axes of t
 
 and so serves every model unchanged. GNSS and dual antenna state when they were true; their stamps move with the
 velocity (which the accelerometer carries) and the attitude. At the end the attitude is turned on by w times the gyro's
-delay. w is the gyro as it is: a turn-on bias of 0.3 deg/s is 0.01 deg in 30 ms.
+delay, velocity and place are moved on by the accelerometer's: v += a delay, a = C f + g. w is the gyro as it is: a
+turn-on bias of 0.3 deg/s is 0.01 deg in 30 ms.
 """
 
 import math
@@ -15,10 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from estimators.earth import move
 from estimators.jit import inner
 from estimators.native import adapts, entry, local, record
-from estimators.records import ESTIMATE, SAMPLE
-from estimators.rotations import turn
+from estimators.records import ESTIMATE, SAMPLE, Estimate, Sample
+from estimators.rotations import to_nav, turn
 
 _FASTEST = 30.0  # rad/s: beyond, it is no rate
 
@@ -31,6 +33,24 @@ def _turn_vector(v: np.ndarray, x: float, y: float, z: float) -> None:
     v[0] = a - d + 0.5 * (y * f - z * e)
     v[1] = b - e + 0.5 * (z * d - x * f)
     v[2] = c - f + 0.5 * (x * e - y * d)
+
+
+@inner
+def _move(row: Sample, answer: Estimate, delay: float, gravity: float) -> None:
+    """Move velocity and place of an estimate on by `delay` (s), with the acceleration of its row; m/s2."""
+    f, a, b = row.accel_b, local(3), local(3)
+    if not math.isfinite(answer.vel_n[0] * answer.q_nb[0] * f[0] * f[1] * f[2]):
+        return
+    for i in range(3):
+        b[i] = answer.accel_bias[i] if math.isfinite(answer.accel_bias[i]) else 0.0
+    to_nav(answer.q_nb, f[0] - b[0], f[1] - b[1], f[2] - b[2], a)
+    a[2] += gravity
+    v = answer.vel_n
+    north, east, down = (delay * (v[0] + 0.5 * delay * a[0]), delay * (v[1] + 0.5 * delay * a[1]), delay * v[2])
+    if math.isfinite(answer.lla[0]):
+        move(answer.lla, north, east, down, answer.lla)
+    for i in range(3):
+        v[i] += delay * a[i]
 
 
 @entry("pifff")
@@ -55,17 +75,20 @@ def _to_gyro_time(owner: Any, kernel: Any) -> Any:
     return body
 
 
-@entry("ppiif")
-def to_stamp_time(rows: np.ndarray, out: np.ndarray, first: int, count: int, gyro_delay: float) -> None:
-    """Turn attitude and down vector of estimates `first` to `count` - 1 on to the time of the stamp; in place."""
+@entry("ppiifff")
+def to_stamp_time(
+    rows: np.ndarray, out: np.ndarray, first: int, count: int, gyro_delay: float, accel_delay: float, gravity: float
+) -> None:
+    """Turn and move estimates `first` to `count` - 1 on to the time of the stamp; in place."""
 
 
 @adapts(to_stamp_time)
 def _to_stamp_time(owner: Any, kernel: Any) -> Any:
-    def body(rows, out, first, count, gyro_delay):  # type: ignore[no-untyped-def]
+    def body(rows, out, first, count, gyro_delay, accel_delay, gravity):  # type: ignore[no-untyped-def]
         q = local(4)
         for k in range(first, count):
             answer = record(out, ESTIMATE, k)
+            _move(record(rows, SAMPLE, k), answer, accel_delay, gravity)
             rate, bias = record(rows, SAMPLE, k).gyro_b, answer.gyro_bias
             x = rate[0] - bias[0] if math.isfinite(bias[0]) else rate[0]
             y = rate[1] - bias[1] if math.isfinite(bias[1]) else rate[1]

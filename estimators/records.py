@@ -48,6 +48,8 @@ class Estimate(Record):
     accel_bias_sigma: Vector3
     lla: Vector3
     vel_n: Vector3
+    pos_cov: Matrix3
+    vel_cov: Matrix3
     innovation: Innovations
     innovation_var: Innovations
     adaptation: Vector4

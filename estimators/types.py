@@ -137,6 +137,8 @@ class Estimates(Columns):
     accel_bias_sigma: np.ndarray = column(3)
     lla: np.ndarray = column(3)  # (n, 3) rad, rad, m
     vel_n: np.ndarray = column(3)  # (n, 3) m/s
+    pos_cov: np.ndarray = column(3, 3)  # (n, 3, 3) m2, NED, of the place, errors of the fixes that wander included
+    vel_cov: np.ndarray = column(3, 3)  # (n, 3, 3) m2/s2, NED
     innovation: np.ndarray = column(MEASUREMENTS)  # (n, MEASUREMENTS) decorrelated: independent, see filters
     innovation_var: np.ndarray = column(MEASUREMENTS)  # its variances; NIS = sum of innovation^2 / variance
     adaptation: np.ndarray = column(4)  # (n, 4) state of the adaptation policy, meaning by method

@@ -176,6 +176,8 @@ geometry_msgs/Vector3 accel_bias # m/s2, FRD
 float64[3] lla # rad, rad, m
 geometry_msgs/Vector3 velocity # m/s, NED
 float32[9] attitude_covariance # rad2, row by row, of the small rotation in body axes
+float32[9] position_covariance # m2, row by row, north, east, down, wander of the fixes included
+float32[9] velocity_covariance # m2/s2, row by row, north, east, down
 float32[3] gyro_bias_sigma # rad/s
 float32[3] accel_bias_sigma # m/s2
 float32[12] innovation # decorrelated, in the units of the method's measurements; NaN where unused

@@ -323,6 +323,8 @@ STATE = Route(
         "lla": "lla",
         "velocity": "vel_n",
         "attitude_covariance": "att_cov",
+        "position_covariance": "pos_cov",
+        "velocity_covariance": "vel_cov",
         "gyro_bias_sigma": "gyro_bias_sigma",
         "accel_bias_sigma": "accel_bias_sigma",
         "innovation": "innovation",

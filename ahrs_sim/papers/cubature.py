@@ -170,7 +170,7 @@ def from_nothing(
             estimator = unit.create(f"marg-{name}", initialisation="paper", noise=noise)
             rest = unit.samples[skip:]
             if bias_variance is not None:
-                while estimator.state()["carry"] is None:  # R and Q are being measured
+                while estimator.state()["filter"] is None:  # R and Q are being measured
                     estimator.process(rest[:1])
                     rest = rest[1:]
                 _bias_variance(estimator, bias_variance)
@@ -271,12 +271,12 @@ def shaken(unit: Measured, name: str, sigma: float) -> np.ndarray:
     """
     estimator = unit.create(f"marg-{name}")
     taken = 0
-    while estimator.state()["carry"] is None:
+    while estimator.state()["filter"] is None:
         estimator.process(unit.samples[taken : taken + 1])
         taken += 1
     if sigma:
         state = estimator.state()
-        state["model"] = state["model"]._replace(R_accel=sigma**2 * np.eye(3))
+        state["filter"]["parameters"]["R_accel"][...] = sigma**2 * np.eye(3)
         estimator.restore(state)
     estimates = estimator.process(unit.samples[taken:])
     found: np.ndarray = unit.errors(estimates)[estimates.t >= SETTLED][:, [3, 2]]

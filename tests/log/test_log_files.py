@@ -72,7 +72,16 @@ def test_everything_comes_back(flight: MadeUpFlight, log: Path) -> None:
             if instrument == "fix":
                 object.__setattr__(record, "sigma", np.abs(record.sigma))  # type: ignore[attr-defined]
             same(got, record, close=("sigma",))
-        single = ("att_cov", "gyro_bias_sigma", "accel_bias_sigma", "innovation", "innovation_var", "adaptation")
+        single = (
+            "att_cov",
+            "pos_cov",
+            "vel_cov",
+            "gyro_bias_sigma",
+            "accel_bias_sigma",
+            "innovation",
+            "innovation_var",
+            "adaptation",
+        )
         for name, estimates in flight.estimates.items():
             same(back.estimates(name), estimates, single)
         same(back.setpoints(), flight.setpoints)

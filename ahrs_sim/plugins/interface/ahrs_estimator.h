@@ -81,6 +81,8 @@ typedef struct ahrs_estimate {
     double accel_bias_sigma[3]; /* m/s2, 1 sigma */
     double lla[3];              /* rad, rad, m */
     double vel_n[3];            /* m/s, NED */
+    double pos_cov[9];          /* m2, 3x3 row-major covariance of the place, NED */
+    double vel_cov[9];          /* m2/s2, 3x3 row-major covariance of vel_n, NED */
     double innovation[12];      /* independent innovations of this row's measurements */
     double innovation_var[12];  /* their variances; NIS is the sum of innovation^2 / innovation_var */
     double adaptation[4];       /* meaning by method */

@@ -9,7 +9,7 @@ from estimators.earth import move
 from estimators.jit import inner
 from estimators.models.base import FLAGS, STATE, report_attitude
 from estimators.models.ins.aids import AIDS, GROUPED, by_group, in_turn
-from estimators.models.ins.layout import BA, BG, Kept, Motion, Shared, State
+from estimators.models.ins.layout import BA, BG, P_, Kept, Motion, Shared, State, V
 from estimators.native import Record, flags, local, vector
 from estimators.past import keep
 from estimators.records import Estimate, Sample
@@ -103,5 +103,8 @@ def report(model: Shared, x: State, P: np.ndarray, memory: Any, answer: Estimate
         answer.accel_bias[i], answer.accel_bias_sigma[i] = x.accel_bias[i], math.sqrt(P[BA + i, BA + i])
         if model.report_place:
             answer.vel_n[i], answer.lla[i] = x.vel_n[i], x.lla[i]
+            for j in range(3):
+                answer.vel_cov[i, j], answer.pos_cov[i, j] = P[V + i, V + j], P[P_ + i, P_ + j]
+            answer.pos_cov[i, i] += model.place_wander[i]
     answer.adaptation[0] = 1.0 if memory.is_still else 0.0
     answer.adaptation[1] = memory.field.inflation

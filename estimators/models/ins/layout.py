@@ -43,6 +43,7 @@ class Shared(Record):
     still_rate: Number  # rad/s, scatter of a still second
     still_force: Number  # m/s2
     place_walk: Vector3  # m2/s: the rest of a fix's error wanders, and the place with it
+    place_wander: Vector3  # m2, variance of that: what the place is off besides, and no fix shows
     speed_min: Number  # m/s, an airspeed above is not wind on the ground
     report_place: Flag  # place and velocity are over the ground
     start: Annotated[np.ndarray, shaped(GROUPS, dtype=np.int64)]  # first row in z of each group of measurements

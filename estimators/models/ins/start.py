@@ -136,6 +136,7 @@ def _parameters(
         still_rate=still_rate,
         still_force=still_force,
         place_walk=1e-6 + wander * np.array([1.0, 1.0, UP**2]),
+        place_wander=sensors.gnss_pos**2 * np.array([1.0, 1.0, UP**2]),
         speed_min=settings["speed_min"],
         report_place=use_gnss,
         start=[group.start for group in groups] + unused,
