@@ -58,7 +58,8 @@ class Accuracy:
     def add_estimates(self, name: str, block: Estimates) -> None:
         """Take a block of an estimator."""
         if len(block):
-            self._evaluator.add(name, replace(block, t=_whole_ns(block.t)))
+            as_logged = {"t": _whole_ns(block.t), "att_cov": block.att_cov.astype(np.float32)}
+            self._evaluator.add(name, replace(block, **as_logged))
 
     def _keep(self, name: str, pair: Comparison) -> None:
         t = pair.estimates.t

@@ -1,6 +1,7 @@
 """Attitude errors and their statistics."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -74,25 +75,27 @@ def attitude_errors(q_nb: np.ndarray, down_b: np.ndarray, reference: np.ndarray)
     return np.column_stack([angles, tilt, total])
 
 
+STATISTICS: dict[str, Callable[[np.ndarray], float]] = {
+    "rmse": lambda values: math.sqrt(float(values @ values) / len(values)),
+    "p95": lambda values: float(np.percentile(values, 95, overwrite_input=True)),
+    "max": lambda values: float(values.max()),
+}
+"""What is made of the absolute errors (n,) deg of a measure; called in this order, may reorder them."""
+
+
 def figures(measure: str, errors: np.ndarray) -> dict[str, float]:
-    """RMSE, 95th percentile and maximum of |error| in deg of one measure, NaN when none is finite.
+    """Compute every statistic of |error| in deg of one measure, `MEASURE_STATISTIC_deg`; NaN when none is finite.
 
     Args:
         measure: its name.
         errors: (n,) rad.
     """
     values = np.degrees(np.abs(errors[np.isfinite(errors)].astype(float)))
-    if not len(values):
-        return dict.fromkeys((f"{measure}_{s}_deg" for s in ("rmse", "p95", "max")), math.nan)
-    return {
-        f"{measure}_rmse_deg": math.sqrt(float(values @ values) / len(values)),
-        f"{measure}_p95_deg": float(np.percentile(values, 95, overwrite_input=True)),
-        f"{measure}_max_deg": float(values.max()),
-    }
+    return {f"{measure}_{name}_deg": of(values) if len(values) else math.nan for name, of in STATISTICS.items()}
 
 
 def statistics(errors: np.ndarray) -> dict[str, float]:
-    """`figures` of all measures.
+    """Compute `figures` of all measures.
 
     Args:
         errors: (n, 5) rad, in the order of MEASURES.

@@ -86,9 +86,17 @@ class Converter:
         mapping: the user's map.
         calibration: see there.
         epoch_ns: zero of the records' times, ns since 1970.
+        height: m, of fixes before the first one that has a height.
     """
 
-    def __init__(self, chosen: Mapping[str, Choice], mapping: Map, calibration: Calibration, epoch_ns: int) -> None:
+    def __init__(
+        self,
+        chosen: Mapping[str, Choice],
+        mapping: Map,
+        calibration: Calibration,
+        epoch_ns: int,
+        height: float = 0.0,
+    ) -> None:
         self.chosen, self.mapping, self.calibration, self.epoch_ns = chosen, mapping, calibration, epoch_ns
         self.counts: Counter[str] = Counter()
         self.log_times = mapping.stamps == "log"
@@ -99,7 +107,7 @@ class Converter:
         if "diff_pressure" in chosen and "air" not in chosen:
             self._queues["air"] = _Queue(AirRecord, "air", self.counts)
         self._static = (np.empty(0, np.int64), np.empty(0))  # ns, Pa: static pressure so far
-        self._height = float(mapping.place.get("altitude_m", 0.0))
+        self._height = float(mapping.place.get("altitude_m", height))
         self._newest = np.iinfo(np.int64).min  # ns, latest stamp of the IMU
 
     def records(self, blocks: Iterable[dict[str, np.ndarray]]) -> Iterator[SuiteBlock]:
@@ -116,7 +124,10 @@ class Converter:
         cut = _before_pair(until, [queue.waiting for queue in gnss])
         out = {kind: q.release(cut if q in gnss else until, until) for kind, q in self._queues.items()}
         if len(gnss) == 2:
-            out["fix"], out["velocity"] = _together(out["fix"], out["velocity"])
+            out["fix"], velocity = _together(out["fix"], out["velocity"])
+            lost = np.isin(velocity.stamp_ns, out["fix"].stamp_ns[out["fix"].fix < 0])
+            self.counts["velocity: without a fix, left out"] += int(lost.sum())
+            out["velocity"] = _picked(velocity, np.flatnonzero(~lost))
         return out if any(len(r) for r in out.values()) else {}
 
     def _take(self, block: dict[str, np.ndarray]) -> None:
@@ -210,6 +221,11 @@ class Converter:
         lla[none | (np.abs(lla[:, 0]) > 90.0) | (np.abs(lla[:, 1]) > 360.0)] = np.nan
         variance = array["position_covariance"][:, [4, 0, 8]]
         known = (array["position_covariance_type"] > 0)[:, None] & (variance > 0)
+        flat = np.isfinite(lla[:, :2]).all(axis=1) & np.isnan(lla[:, 2])  # of two dimensions
+        self.counts["fix: without a height, that of the fix before taken"] += int(flat.sum())
+        known_at = np.maximum.accumulate(np.where(np.isfinite(lla[:, 2]), np.arange(len(lla)), -1))
+        before = np.where(known_at >= 0, lla[np.maximum(known_at, 0), 2], self._height)
+        lla[flat, 2] = before[flat]
         heights = lla[np.isfinite(lla).all(axis=1), 2]
         if len(heights):
             self._height = float(heights[-1])

@@ -192,7 +192,7 @@ def _opened(
         site=site,
         sensors=sensors,
         estimators=components,
-        converter=Converter(chosen, map_, calibration, source.epoch_ns),
+        converter=Converter(chosen, map_, calibration, source.epoch_ns, _first_height(source, chosen)),
         metadata=metadata,
         notes=notes,
         span=span,
@@ -211,7 +211,7 @@ def _looked(source: Source, map_: Map, span: tuple[float, float]) -> tuple[dict[
     chosen |= _recorded(source, chosen.get("reference"))
     topics = [c.topic.name for c in chosen.values()]
     nothing = Calibration(np.zeros(3), np.eye(3), map_.gyro_bias)
-    first = Converter(chosen, map_, nothing, source.epoch_ns)
+    first = Converter(chosen, map_, nothing, source.epoch_ns, _first_height(source, chosen))
     seen = survey.look(
         within(block, 1e9 * span[0], 1e9 * span[1]) for block in _magnetometer_as_is(first, source, topics)
     )
@@ -223,6 +223,18 @@ def _looked(source: Source, map_: Map, span: tuple[float, float]) -> tuple[dict[
     if first.log_times and map_.stamps is None:
         notes.append("header stamps are of another clock: times of the log are used ([time] stamps)")
     return chosen, seen, notes
+
+
+def _first_height(source: Source, chosen: Mapping[str, Choice]) -> float:
+    """Of the first fix in three dimensions, m; 0 without any."""
+    if "fix" not in chosen:
+        return 0.0
+    name = chosen["fix"].topic.name
+    for block in source.blocks([name]):
+        height = block[name]["altitude"][block[name]["status"]["status"] >= 0]
+        if np.isfinite(height).any():
+            return float(height[np.isfinite(height)][0])
+    return 0.0
 
 
 def _recorded(source: Source, reference: Choice | None) -> dict[str, Choice]:

@@ -247,11 +247,12 @@ def table(result: dict[str, Any], *, details: bool = False) -> str:
 
 
 def _details(rows: Mapping[str, Any], width: int, out: io.StringIO) -> None:
-    """Print RMS, 95th percentile and maximum of every measure over the whole flight."""
-    print(f"{'':{width}s}" + "".join(f"{m:>19s}" for m in metrics.MEASURES), file=out)
-    print(f"{'':{width}s}" + "rmse   p95   max".rjust(19) * len(metrics.MEASURES), file=out)
+    """Print every statistic of every measure over the whole flight."""
+    group = " " + "".join(f"{name:>6s}" for name in metrics.STATISTICS)
+    print(f"{'':{width}s}" + "".join(f"{m:>{len(group)}s}" for m in metrics.MEASURES), file=out)
+    print(f"{'':{width}s}" + group * len(metrics.MEASURES), file=out)
     for name, values in rows.items():
-        cells = [[values[f"{m}_{s}_deg"] for s in ("rmse", "p95", "max")] for m in metrics.MEASURES]
+        cells = [[values[f"{m}_{s}_deg"] for s in metrics.STATISTICS] for m in metrics.MEASURES]
         print(f"{name:{width}s}" + "".join(" " + "".join(_cell(v) for v in c) for c in cells), file=out)
 
 
@@ -265,7 +266,7 @@ def _removed(values: dict[str, Any]) -> str:
     """Name the delay and rotation removed before comparing."""
     parts = [f"delay of {values['delay_s']:+.3f} s"] if "delay_s" in values else []
     parts += [f"{a:.2f} deg" for a in values.get("aligned_deg", ()) if a > 5e-3]
-    return f"without {' and '.join(parts)}" if parts else ""
+    return f"{' and '.join(parts)} removed before comparing" if parts else ""
 
 
 def _cell(value: float | None, width: int = 6) -> str:
@@ -276,8 +277,8 @@ def _cell(value: float | None, width: int = 6) -> str:
 
 
 def csv(result: dict[str, Any]) -> str:
-    """The result as comma-separated values: a line per estimator and phase ("all": the whole flight)."""
-    keys = [f"{m}_{s}_deg" for m in metrics.MEASURES for s in ("rmse", "p95", "max")]
+    """Write the result as comma-separated values: a line per estimator and phase ("all": the whole flight)."""
+    keys = [f"{m}_{s}_deg" for m in metrics.MEASURES for s in metrics.STATISTICS]
     out = io.StringIO()
     rows = csv_form.writer(out, lineterminator="\n")
     rows.writerow(["estimator", "reference", "phase", *keys])

@@ -230,6 +230,62 @@ def test_wrong_conventions_are_named(
     assert any(words in note for note in opened(tmp_path / "a.mcap", map_text).notes if note.startswith("check"))
 
 
+def test_a_receiver_without_a_fix_has_no_velocity(tmp_path: Path, moving: Motion) -> None:
+    status = np.where((moving.t[::20] > 20) & (moving.t[::20] < 30), -1, 0)
+    with LogWriter(tmp_path / "a.mcap", epoch_ns=EPOCH) as log:
+        imu = log.add_channel("/imu", "sensor_msgs/msg/Imu", frame_id="base_link_frd")
+        fix = log.add_channel("/gps/fix", "sensor_msgs/msg/NavSatFix", frame_id="gps")
+        vel = log.add_channel("/gps/vel", "geometry_msgs/msg/TwistStamped", frame_id="map")
+        log.start()
+        t, slow = ns(moving.t), ns(moving.t[::20])
+        log.write(imu, t, t, angular_velocity=moving.gyro_b, linear_acceleration=moving.accel_b)
+        place = {k: np.full(len(slow), v) for k, v in zip(("latitude", "longitude", "altitude"), LLA, strict=True)}
+        log.write(fix, slow, slow, **{"status.status": status, **place})
+        log.write(vel, slow, slow, **{"twist.linear": np.tile([1.0, 2.0, 3.0], (len(slow), 1))})
+    bag = opened(tmp_path / "a.mcap")
+    s = samples_of(bag)
+    assert (np.isfinite(s.vel_n).all(axis=1) & s.gnss_new).sum() == (status == 0).sum()
+    assert bag.converter.counts["velocity: without a fix, left out"] == (status < 0).sum()
+
+
+def test_a_fix_without_a_height_is_of_two_dimensions(tmp_path: Path, moving: Motion) -> None:
+    with LogWriter(tmp_path / "a.mcap", epoch_ns=EPOCH) as log:
+        imu = log.add_channel("/imu", "sensor_msgs/msg/Imu", frame_id="base_link_frd")
+        fix = log.add_channel("/gps/fix", "sensor_msgs/msg/NavSatFix", frame_id="gps")
+        log.start()
+        t, slow = ns(moving.t), ns(moving.t[::20])
+        log.write(imu, t, t, angular_velocity=moving.gyro_b, linear_acceleration=moving.accel_b)
+        k = np.arange(len(slow))
+        height = np.where((k < 10) | (k > 100), np.nan, 500.0 + k)
+        log.write(fix, slow, slow, latitude=np.full(len(k), LLA[0]), longitude=np.full(len(k), LLA[1]), altitude=height)
+    bag = opened(tmp_path / "a.mcap")
+    s = samples_of(bag)
+    seen = s.lla[s.gnss_new]
+    assert len(seen) == len(k)
+    np.testing.assert_allclose(seen[:, 2], np.clip(500.0 + k, 510.0, 600.0))
+    assert bag.site.lla[2] == 510.0
+    assert bag.converter.counts["fix: without a height, that of the fix before taken"] == len(k) - 91
+
+
+def test_gyro_and_accelerometer_with_a_topic_each_are_joined(tmp_path: Path, moving: Motion) -> None:
+    absent = np.r_[-1.0, np.zeros(8)]
+    with LogWriter(tmp_path / "a.mcap", epoch_ns=EPOCH) as log:
+        gyro = log.add_channel("/camera/gyro/sample", "sensor_msgs/msg/Imu", frame_id="base_link_frd",
+                               constant={"linear_acceleration_covariance": absent})  # fmt: skip
+        accel = log.add_channel("/camera/accel/sample", "sensor_msgs/msg/Imu", frame_id="base_link_frd",
+                                constant={"angular_velocity_covariance": absent})  # fmt: skip
+        log.start()
+        log.write(gyro, ns(moving.t), ns(moving.t), angular_velocity=moving.gyro_b)
+        slow = ns(moving.t[::2] + 0.003)
+        log.write(accel, slow, slow, linear_acceleration=moving.accel_b[::2])
+    bag = opened(tmp_path / "a.mcap")
+    s = samples_of(bag)
+    there = np.column_stack([np.interp(s.t, moving.t[::2] + 0.003, column) for column in moving.accel_b[::2].T])
+    np.testing.assert_allclose(s.accel_b, there, atol=1e-9)
+    np.testing.assert_allclose(s.gyro_b, moving.gyro_b[1:][: len(s.t)], atol=1e-12)
+    assert len(s.t) >= len(moving.t) - 3
+
+
 def test_degrees_and_g_are_named(tmp_path: Path, moving: Motion) -> None:
     write_bag(tmp_path / "a.mcap", moving._replace(gyro_b=np.degrees(moving.gyro_b), accel_b=moving.accel_b / 9.80665))
     notes = opened(tmp_path / "a.mcap").notes
