@@ -16,6 +16,7 @@ import numpy as np
 
 from ahrs_sim import plugins
 from ahrs_sim import scenario as scenarios
+from ahrs_sim.attitude import down
 from ahrs_sim.chain import recorded_chains
 from ahrs_sim.errors import FlightError, InputError
 from ahrs_sim.log.flight_log import EstimateTopics
@@ -309,7 +310,7 @@ def _as_estimates(record: Any) -> Estimates:
     known = np.isfinite(record.q_nb).all(axis=1)
     columns = blank(Estimates, int(known.sum()))
     columns["t"], columns["q_nb"] = record.stamp_ns[known] / 1e9, record.q_nb[known]
-    columns["down_b"] = attitude.down(columns["q_nb"])
+    columns["down_b"] = down(columns["q_nb"])
     return Estimates(**columns)
 
 
