@@ -260,7 +260,8 @@ def _known(log: FlightReader, name: str, cls: Any) -> Any:
     try:
         values = {k: tuple(map(float, v.split())) for k, v in log.metadata[name].items()}
         plain = {f: getattr(cls, f, None) for f in cls.__dataclass_fields__}
-        return cls(**{k: v if k in ("lla", "mag_n", "antenna_b") else v[0] for k, v in values.items() if k in plain})
+        triples = ("lla", "mag_n", "antenna_b", "field_error")
+        return cls(**{k: v if k in triples else v[0] for k, v in values.items() if k in plain})
     except (KeyError, ValueError, IndexError, TypeError):
         raise InputError(
             f"{log.path}: its metadata say nothing usable of '{name}'; fly the scenario again with this version"

@@ -19,6 +19,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, cast
 
 from estimators.errors import SettingError
+from estimators.navigator.settings import SETTINGS as NAVIGATOR
 from estimators.settings import Setting, SettingValue, checked, nearest
 from estimators.types import SensorInfo, Site
 
@@ -36,11 +37,11 @@ class Method:
     text: str  # what it is, one line
     source: str  # the paper
     filter: str  # of `estimators.filters`; empty: the setting "filter" says which
-    model: str  # of `estimators.models`; of another package, its module and class
+    model: str  # of `estimators.models`; of an estimator by itself or of another package, module:Class
     defaults: Mapping[str, SettingValue] = field(default_factory=dict)  # those that differ from the model's
     own: bool = True  # false: of another installed package, by its entry point
     package: str = ""  # that it needs besides
-    given: Mapping[str, Setting] | None = None  # the settings, if it is not of this package
+    given: Mapping[str, Setting] | None = None  # the settings, if they are not those of model and filter
 
     @property
     def installed(self) -> bool:
@@ -102,6 +103,10 @@ _METHODS = (
     ),
     Method("ins9-ekf", "The same, extended Kalman filter", _ZHAO, "ekf", "ins9"),
     Method("ins21", "Inertial navigator, GNSS velocity and position, magnetic heading, 21 states", _OWN, "", "ins"),
+    Method(
+        "ins-cal", "Inertial navigator that calibrates its sensors: GNSS, magnetic field, 61 states", _OWN,
+        "", "estimators.navigator.navigator:Navigator", given=NAVIGATOR,
+    ),
     Method(
         "ins15", "Inertial navigator, GNSS velocity and position, magnetic heading, 15 states", _OWN,
         "", "ins", {"states": "15"},
@@ -166,6 +171,9 @@ def create(name: str, *, site: Site | None = None, sensors: SensorInfo | None = 
 
 def _create(method: Method, site: Site, sensors: SensorInfo, settings: Mapping[str, Any]) -> "Estimator":
     values = checked(method.name, method.settings, settings)
+    if ":" in method.model:
+        package, _, made = method.model.partition(":")
+        return cast("Estimator", getattr(importlib.import_module(package), made)(method.name, values, site, sensors))
     from estimators.estimator import FilterEstimator  # compiles or loads kernels: not before it is needed
     from estimators.filters.base import Method as Filter
 

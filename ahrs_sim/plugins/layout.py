@@ -23,6 +23,13 @@ def _structure(block: type[Columns]) -> np.dtype:
     return np.dtype([*numbers, *flags, ("reserved", np.uint8, (-len(flags) % 8,))])
 
 
+SENSORS = (
+    "rate", "gyro_noise", "gyro_bias", "gyro_instability", "gyro_scale", "accel_noise", "accel_bias", "accel_scale",
+    "mag_noise", "mag_bias", "gyro_delay", "accel_delay", "mag_delay", "gnss_pos", "gnss_vel", "heading", "airspeed",
+    "airspeed_scale", "antenna_b",
+)  # fmt: skip
+"""The members of `ahrs_sensors`; `SensorInfo` has more, which this version of the interface leaves out."""
+
 SAMPLE = _structure(Samples)
 ESTIMATE = _structure(Estimates)
 
@@ -47,5 +54,6 @@ def read_estimates(rows: np.ndarray) -> Estimates:
 
 def constants(known: Site | SensorInfo) -> bytes:
     """The bytes of `ahrs_site` or `ahrs_sensors`."""
-    values = dataclasses.astuple(known)
+    names = SENSORS if isinstance(known, SensorInfo) else [f.name for f in dataclasses.fields(known)]
+    values = [getattr(known, name) for name in names]
     return np.concatenate([np.atleast_1d(np.asarray(v, float)) for v in values]).tobytes()

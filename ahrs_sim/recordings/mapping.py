@@ -222,9 +222,8 @@ def _sensors(table: Table) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for field in dataclasses.fields(SensorInfo):
         if table.has(field.name):
-            values[field.name] = (
-                tuple(table.vector(field.name).tolist()) if field.name == "antenna_b" else table.number(field.name)
-            )
+            triple = field.name in ("antenna_b", "field_error")
+            values[field.name] = tuple(table.vector(field.name).tolist()) if triple else table.number(field.name)
     table.close()
     return values
 

@@ -73,7 +73,7 @@ class DualAntenna:
 
     def info(self) -> dict[str, Any]:
         """What `SensorInfo` says of it."""
-        return {"heading": self.sigma}
+        return {"heading": self.sigma, "heading_mount": self.figures.misalignment}
 
     def drawn(self) -> dict[str, Any]:
         """The truth of what was drawn, SI."""

@@ -67,10 +67,17 @@ class Imu:
             "gyro_bias": rms(g.turn_on_bias),
             "gyro_instability": rms(g.bias_floor),
             "gyro_scale": self.gyro.scale_sigma,
+            "gyro_scale_factor": rms(g.scale),
+            "gyro_misalignment": self.gyro.misalignment_sigma,
+            "gyro_drift": rms(g.temperature_drift) * self.figures.warm_up,
             "gyro_delay": self.gyro.band.delay,
             "accel_noise": rms(a.noise_density),
             "accel_bias": rms(a.turn_on_bias),
+            "accel_instability": rms(a.bias_floor),
+            "accel_drift": rms(a.temperature_drift) * self.figures.warm_up,
             "accel_scale": self.accel.scale_sigma,
+            "accel_scale_factor": rms(a.scale),
+            "accel_misalignment": self.accel.misalignment_sigma,
             "accel_delay": self.accel.band.delay,
         }
 

@@ -59,6 +59,11 @@ class Magnetometer:
         return {
             "mag_noise": rms(white_sigma(f.noise_density, 1.0 / self.period)),
             "mag_bias": rms(f.turn_on_bias),
+            "mag_wander": rms(f.motor_field),
+            "mag_scale_factor": rms(f.scale),
+            "mag_misalignment": self.triad.misalignment_sigma,
+            "soft_iron": f.soft_iron,
+            "field_error": tuple(f.model_error.tolist()),
             "mag_delay": self.triad.band.delay,
         }
 

@@ -98,8 +98,12 @@ class Triad:
     @property
     def scale_sigma(self) -> float:
         """One sigma for scale factor, misalignment and cross-axis sensitivity together, rad."""
-        f = self.figures
-        return math.sqrt(rms(f.scale) ** 2 + math.tan(f.misalignment) ** 2 + f.cross_axis**2)
+        return math.hypot(rms(self.figures.scale), self.misalignment_sigma)
+
+    @property
+    def misalignment_sigma(self) -> float:
+        """One sigma for misalignment and cross-axis sensitivity together, rad."""
+        return math.hypot(math.tan(self.figures.misalignment), self.figures.cross_axis)
 
     def drawn(self) -> dict[str, np.ndarray]:
         """The truth of what was drawn, SI, in the sensor's axes."""

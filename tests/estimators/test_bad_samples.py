@@ -160,6 +160,7 @@ def tilt_error(estimates, truth):
 def test_perfect_sensors_are_taken(name, settings):
     """A data sheet of zeros: variances of zero would be singular."""
     zeros = {f: 0.0 for f in SensorInfo.__slots__ if f not in ("rate", "antenna_b")}
+    zeros["field_error"] = (0.0, 0.0, 0.0)
     estimates = run(changed(no_sigma), name, settings, SensorInfo(**zeros))
     assert_no_word_missing(estimates)
     assert (estimates.status[800:] != Status.DIVERGED).all()

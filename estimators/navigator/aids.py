@@ -1,0 +1,218 @@
+"""What corrects the state: a fix, the field, the baseline of a dual antenna, standing still.
+
+Each fills the slopes of at most three numbers at a time and has them taken in. All are linearised at the state before
+the first of a row; the sum of the corrections is applied at the end of the row.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from estimators.earth import apart, move
+from estimators.jit import njit
+from estimators.navigator.covariance import absorb, nis
+from estimators.navigator.history import WIDTH, keep, recall
+from estimators.navigator.layout import (
+    BASELINE,
+    FIELD,
+    FIELDS,
+    GYRO_BIAS,
+    GYRO_FAST,
+    GYRO_SLOW,
+    HARD_IRON,
+    LATE,
+    MAG_MATRIX,
+    PHI,
+    POS,
+    SECONDS,
+    SPEED,
+    SURPRISE,
+    T_AID,
+    T_GNSS,
+    T_MAG,
+    VEL,
+    WANDER,
+)
+from estimators.navigator.strapdown import Triple
+from estimators.rotations import nav_vector, wrap, yaw
+
+Z_VELOCITY, Z_PLACE, Z_FIELD, Z_BASELINE = 0, 3, 6, 9  # in the innovations
+MAX_FIELD, MAX_SPEED = 0.01, 2000.0  # T, m/s: beyond is no measurement
+STILL_SPEED = 0.05  # m/s
+UP = 1.5  # satellites are all above: vertical errors are larger by about that
+
+
+@njit
+def put(work: Any, row: int, column: int, value: float) -> None:
+    """Add a term to the slope of measurement `row`."""
+    k = work.terms[row]
+    work.at[row, k], work.by[row, k] = column, value
+    work.terms[row] = k + 1
+
+
+@njit
+def begin(work: Any, row: int, residual: float, variance: float) -> None:
+    """A measurement: measured minus predicted, its variance; no slope yet."""
+    work.residual[row], work.variance[row], work.terms[row] = residual, variance, 0
+
+
+@njit
+def take(model: Any, memory: Any, P: np.ndarray, work: Any, rows: int, out: Any, k: int, first: int) -> None:
+    """Take in the measurements of `work`; what surprises too much counts as noisier, as by a heavy-tailed error."""
+    surprise = nis(P, work, rows)
+    memory.seen[SURPRISE] = surprise
+    if surprise > model.surprise:
+        for i in range(rows):
+            work.variance[i] *= surprise / model.surprise
+    for i in range(rows):
+        r, variance = absorb(P, work, i)
+        if first >= 0:
+            out.innovation[k, first + i], out.innovation_var[k, first + i] = r, variance
+
+
+@njit
+def remember(model: Any, nominal: Any, memory: Any, w: Triple, t: float) -> None:
+    """Keep the antenna's velocity and place, and the yaw."""
+    a, q, now = model.antenna_b, nominal.q, np.empty(WIDTH)
+    swing = nav_vector(q, w[1] * a[2] - w[2] * a[1], w[2] * a[0] - w[0] * a[2], w[0] * a[1] - w[1] * a[0])
+    lever = nav_vector(q, a[0], a[1], a[2])
+    for i in range(3):
+        now[i] = nominal.v[i] + swing[i]
+    move(nominal.lla, lever[0], lever[1], lever[2], now[3:6])
+    now[6] = yaw(q)
+    keep(memory.history, t, now)
+
+
+@njit
+def take_fix(
+    model: Any, nominal: Any, memory: Any, P: np.ndarray, work: Any, rows: Any, k: int,
+    f_n: Triple, out: Any,
+) -> None:  # fmt: skip
+    """Velocity and place of the antenna, compared with those kept from the time when they were true."""
+    c, then, off = nominal.c, np.empty(WIDTH), np.empty(3)
+    t, vel_n, lla = rows.t[k], rows.vel_n[k], rows.lla[k]
+    true_t = rows.gnss_t[k] - c[LATE]
+    if not recall(memory.history, true_t, then):
+        return
+    tau = t - true_t
+    a_n = (f_n[0], f_n[1], f_n[2] + model.gravity)
+    time2 = model.gnss_time * model.gnss_time
+    speed = True
+    for i in range(3):
+        speed &= abs(vel_n[i]) < MAX_SPEED
+    if speed:
+        for i in range(3):
+            wide = UP if i == 2 else 1.0
+            noise = (wide * model.gnss_velocity) ** 2 + time2 * a_n[i] * a_n[i]
+            begin(work, i, vel_n[i] - then[i], noise)
+            put(work, i, VEL + i, 1.0)
+            put(work, i, LATE, -a_n[i])
+        take(model, memory, P, work, 3, out, k, Z_VELOCITY)
+        memory.clock[T_AID] = memory.clock[T_GNSS] = t
+        memory.seen[SPEED] = math.sqrt(vel_n[0] ** 2 + vel_n[1] ** 2 + vel_n[2] ** 2)
+    if abs(lla[0]) < 1.58 and abs(lla[1]) < 6.3 and abs(lla[2]) < 1e6:
+        apart(lla, then[3:6], off)
+        for i in range(3):
+            wide = UP if i == 2 else 1.0
+            noise = (wide * model.gnss_position) ** 2 + time2 * then[i] * then[i]
+            begin(work, i, off[i] - c[WANDER + i], noise)
+            put(work, i, POS + i, 1.0)
+            put(work, i, VEL + i, -tau)
+            put(work, i, WANDER + i, 1.0)
+            put(work, i, LATE, -then[i])
+        if abs(off[0]) + abs(off[1]) + abs(off[2]) < 1e6:
+            take(model, memory, P, work, 3, out, k, Z_PLACE)
+
+
+@njit
+def add_field(model: Any, nominal: Any, batch: Any, C: np.ndarray, field_b: np.ndarray) -> None:
+    """Add a reading of the magnetometer (T) to the batch: what it is off, and how that depends on the state."""
+    c, u, B = nominal.c, np.empty(3), np.empty(3)
+    for i in range(3):
+        B[i] = model.mag_n[i] + c[FIELD + i]
+    for i in range(3):
+        u[i] = C[i, 0] * B[0] + C[i, 1] * B[1] + C[i, 2] * B[2]
+    for i in range(3):
+        a = i * 3 + MAG_MATRIX
+        slope = batch.field_slope[i]
+        row = (c[a] + (i == 0), c[a + 1] + (i == 1), c[a + 2] + (i == 2))  # of I + M
+        batch.field[i] += field_b[i] - (row[0] * u[0] + row[1] * u[1] + row[2] * u[2] + c[HARD_IRON + i])
+        north = row[0] * C[0, 0] + row[1] * C[1, 0] + row[2] * C[2, 0]
+        east = row[0] * C[0, 1] + row[1] * C[1, 1] + row[2] * C[2, 1]
+        down = row[0] * C[0, 2] + row[1] * C[1, 2] + row[2] * C[2, 2]
+        slope[PHI] += east * B[2] - down * B[1]  # C_bn exp(-phi) B = C_bn (B + B x phi)
+        slope[PHI + 1] += down * B[0] - north * B[2]
+        slope[PHI + 2] += north * B[1] - east * B[0]
+        slope[FIELD] += north
+        slope[FIELD + 1] += east
+        slope[FIELD + 2] += down
+        for j in range(3):
+            for k in range(3):
+                slope[MAG_MATRIX + 3 * j + k] += row[j] * u[k]
+    batch.total[FIELDS] += 1.0
+
+
+@njit
+def take_field(model: Any, memory: Any, P: np.ndarray, batch: Any, work: Any, t: float, out: Any, k: int) -> None:
+    """The mean of the readings of a batch, all three components."""
+    n = batch.total[FIELDS]
+    if n == 0.0:
+        return
+    for i in range(3):
+        begin(work, i, batch.field[i] / n, model.mag_noise**2 / n + model.mag_floor**2)
+        for j in range(3):
+            put(work, i, PHI + j, batch.field_slope[i, PHI + j] / n)
+            put(work, i, FIELD + j, batch.field_slope[i, FIELD + j] / n)
+        for j in range(MAG_MATRIX, MAG_MATRIX + 9):
+            put(work, i, j, batch.field_slope[i, j] / n)
+        put(work, i, HARD_IRON + i, 1.0)
+    take(model, memory, P, work, 3, out, k, Z_FIELD)
+    memory.clock[T_MAG] = t
+
+
+@njit
+def take_baseline(model: Any, nominal: Any, memory: Any, P: np.ndarray, work: Any, rows: Any, k: int, out: Any) -> None:
+    """Azimuth of the dual antenna's baseline, compared with the yaw kept from the time when it was true."""
+    c, C, then = nominal.c, work.C, np.empty(WIDTH)
+    heading, reported = rows.heading[k], rows.heading_sigma[k]
+    if not (abs(heading) < 100.0 and 0.0 < reported < 10.0):
+        return
+    if not recall(memory.history, rows.heading_t[k], then):
+        return
+    north, east, down = C[0, 0], C[0, 1], C[0, 2]
+    horizontal2 = north * north + east * east
+    if horizontal2 < 0.03:  # points up or down
+        return
+    yaw_share = (north * C[1, 1] - east * C[1, 0]) / horizontal2
+    pitch_share = -(north * C[2, 1] - east * C[2, 0]) / horizontal2
+    predicted = then[6] + c[BASELINE] + c[BASELINE + 1] * yaw_share + c[BASELINE + 2] * pitch_share
+    sigma = model.baseline_share * reported
+    begin(work, 0, wrap(heading - predicted), sigma * sigma)
+    put(work, 0, PHI, -down * north / horizontal2)
+    put(work, 0, PHI + 1, -down * east / horizontal2)
+    put(work, 0, PHI + 2, 1.0)
+    put(work, 0, BASELINE, 1.0)
+    put(work, 0, BASELINE + 1, yaw_share)
+    put(work, 0, BASELINE + 2, pitch_share)
+    take(model, memory, P, work, 1, out, k, Z_BASELINE)
+
+
+@njit
+def take_standstill(
+    model: Any, nominal: Any, memory: Any, P: np.ndarray, batch: Any, work: Any, t: float, out: Any, k: int
+) -> None:
+    """No velocity, and no rate but the Earth's."""
+    seconds = batch.total[SECONDS]
+    if not seconds > 0.0:
+        return
+    for i in range(3):
+        begin(work, i, -nominal.v[i], STILL_SPEED**2)
+        put(work, i, VEL + i, 1.0)
+    take(model, memory, P, work, 3, out, k, -1)
+    for i in range(3):
+        begin(work, i, batch.rate[i] / seconds, 4.0 * model.gyro_psd / seconds)
+        for column in (GYRO_BIAS, GYRO_FAST, GYRO_SLOW):
+            put(work, i, column + i, 1.0)
+    take(model, memory, P, work, 3, out, k, -1)
+    memory.clock[T_AID] = t

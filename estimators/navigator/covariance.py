@@ -1,0 +1,167 @@
+"""How sure the navigator is: the covariance moved batch by batch, and measurements taken in one number at a time."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from estimators.jit import njit
+from estimators.navigator.layout import (
+    COUPLED,
+    FORCE_VARIANCE,
+    GYRO_VARIANCE,
+    MOVING,
+    PHI,
+    SECONDS,
+    SMOOTHED,
+    VEL,
+    N,
+)
+
+
+@njit
+def clear(batch: Any) -> None:
+    """Begin a batch: the transition is the identity."""
+    for i in range(MOVING):
+        for k in range(COUPLED):
+            batch.F[i, k] = 1.0 if i == k else 0.0
+    for i in range(batch.total.shape[0]):
+        batch.total[i] = 0.0
+    for i in range(3):
+        batch.field[i] = batch.rate[i] = 0.0
+        for k in range(N):
+            batch.field_slope[i, k] = 0.0
+
+
+@njit
+def move(model: Any, c: np.ndarray, P: np.ndarray, batch: Any, work: Any) -> None:
+    """`P = F P F^T + Q` over a batch, and what decays in the constants c; both halves of P."""
+    F, G, seconds = batch.F, work.G, batch.total[SECONDS]
+    for i in range(MOVING):
+        for j in range(N):
+            G[i, j] = 0.0
+        for k in range(COUPLED):
+            factor = F[i, k]
+            if factor != 0.0:
+                for j in range(N):
+                    G[i, j] += factor * P[k, j]
+    for i in range(MOVING):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(COUPLED):
+                total += G[i, k] * F[j, k]
+            P[i, j] = P[j, i] = total
+        for j in range(MOVING, N):
+            P[i, j] = P[j, i] = G[i, j]
+    for i in range(3):
+        P[PHI + i, PHI + i] += batch.total[GYRO_VARIANCE]
+        P[VEL + i, VEL + i] += batch.total[FORCE_VARIANCE]
+    for i in range(6, N):
+        if model.decay[i] > 0.0:
+            keep = work.keep[i] = math.exp(-model.decay[i] * seconds)
+            c[i] *= keep
+            for j in range(N):
+                P[i, j] *= keep
+                P[j, i] = P[i, j]
+            P[i, i] = keep * P[i, i] + (1.0 - keep * keep) * model.settled[i]
+        P[i, i] += model.walk[i] * seconds
+
+
+@njit
+def nis(P: np.ndarray, work: Any, rows: int) -> float:
+    """Normalised innovation squared of the `rows` (at most 3) measurements in `work`, per degree of freedom."""
+    S, at, by = work.S, work.at, work.by
+    for a in range(rows):
+        for b in range(a + 1):
+            total = work.variance[a] if a == b else 0.0
+            for k in range(work.terms[a]):
+                part = 0.0
+                for m in range(work.terms[b]):
+                    part += P[at[a, k], at[b, m]] * by[b, m]
+                total += by[a, k] * part
+            S[a, b] = total
+    total = 0.0
+    for a in range(rows):  # Cholesky factor in place, and L^-1 (residual) along with it
+        for b in range(a):
+            for k in range(b):
+                S[a, b] -= S[a, k] * S[b, k]
+            S[a, b] /= S[b, b]
+        r, pivot = work.residual[a], S[a, a]
+        for k in range(work.terms[a]):
+            r -= by[a, k] * work.dx[at[a, k]]
+        for k in range(a):
+            r -= S[a, k] * work.gain[k]
+            pivot -= S[a, k] * S[a, k]
+        S[a, a] = math.sqrt(pivot)
+        work.gain[a] = r / S[a, a]
+        total += work.gain[a] * work.gain[a]
+    return total / rows
+
+
+@njit
+def absorb(P: np.ndarray, work: Any, row: int) -> tuple[float, float]:
+    """Condition P and `work.dx` on measurement `row`; its innovation, given those before it, and the variance of it."""
+    gain, dx, at, by = work.gain, work.dx, work.at[row], work.by[row]
+    r, variance = work.residual[row], work.variance[row]
+    for j in range(N):
+        gain[j] = 0.0
+    for k in range(work.terms[row]):
+        factor, line = by[k], P[at[k]]
+        for j in range(N):
+            gain[j] += factor * line[j]
+    for k in range(work.terms[row]):
+        variance += by[k] * gain[at[k]]
+        r -= by[k] * dx[at[k]]
+    inverse = 1.0 / variance
+    for i in range(N):
+        share, line = gain[i] * inverse, P[i]
+        dx[i] += share * r
+        for j in range(N):
+            line[j] -= share * gain[j]
+    if work.tape.slope.shape[0] > 0:
+        note_number(work.tape, work, row, r, variance)
+    return r, variance
+
+
+@njit
+def note_number(tape: Any, work: Any, row: int, innovation: float, variance: float) -> None:
+    """Put the number that was just taken in on the tape."""
+    n = tape.used[1]
+    if n < tape.slope.shape[0]:
+        for j in range(N):
+            tape.slope[n, j], tape.gain[n, j] = 0.0, work.gain[j]
+        for k in range(work.terms[row]):
+            tape.slope[n, work.at[row, k]] += work.by[row, k]
+        tape.innovation[n, 0], tape.innovation[n, 1] = innovation, variance
+        tape.used[1] = n + 1
+
+
+@njit
+def note_motion(tape: Any, work: Any, F: np.ndarray) -> None:
+    """Put the transition of a batch on the tape, before its numbers."""
+    b = tape.used[0]
+    if b < tape.F.shape[0]:
+        tape.F[b] = F
+        tape.keep[b] = work.keep
+        tape.first[b] = tape.used[1]
+
+
+@njit
+def note_end(tape: Any, work: Any, P: np.ndarray, lost: bool, row: int) -> None:
+    """Put the end of a batch on the tape."""
+    b = tape.used[0]
+    if b < tape.F.shape[0]:
+        tape.row[b], tape.lost[b] = row, lost
+        for i in range(SMOOTHED):
+            tape.dx[b, i] = work.dx[i]
+            for j in range(N):
+                tape.P[b, i, j] = P[i, j]
+        tape.used[0] = b + 1
+
+
+@njit
+def symmetric(P: np.ndarray) -> None:
+    """Make both halves of P the same to the last bit."""
+    for i in range(N):
+        for j in range(i):
+            P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i])
