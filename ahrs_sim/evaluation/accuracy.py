@@ -130,6 +130,8 @@ Parts = Sequence[np.ndarray]
 def summary(errors: Parts, phase: np.ndarray) -> dict[str, Any]:
     """Summarise errors: `metrics.figures` of every measure, "availability", and the same by phase.
 
+    "steep", where there is one, is the share of the time that roll and heading leave out (see `metrics.STEEP`).
+
     Args:
         errors: pieces of (n, 5) rad, columns by `metrics.Measure`.
         phase: (n,) index into `PHASES`; -1: not known.
@@ -147,6 +149,9 @@ def summary(errors: Parts, phase: np.ndarray) -> dict[str, Any]:
             by_phase[PHASES[i]] |= _finite(metrics.figures(name, values[phase == i]))
         if measure is Measure.TILT:
             found["availability"] = float(np.mean(np.isfinite(values))) if len(values) else 0.0
+            steep = np.isfinite(values) & ~np.isfinite(_column(errors, Measure.ROLL))
+            if steep.any():
+                found["steep"] = float(np.mean(steep[np.isfinite(values)]))
     for i in present:
         by_phase[PHASES[i]]["samples"] = int(np.sum(phase == i))
     return {**found, "phases": by_phase}

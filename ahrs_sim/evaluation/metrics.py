@@ -52,8 +52,15 @@ class History:
 NOTHING = History(np.empty(0), np.empty((0, 4)))
 
 
+STEEP = 0.1
+"""Cosine of pitch below which, the nose within 6 deg of the vertical, roll and heading are not compared: they jump
+there while the attitude does not."""
+
+
 def attitude_errors(q_nb: np.ndarray, down_b: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """Errors (n, 5) in rad, in the order of MEASURES: signed for the Euler angles, never negative for the last two.
+
+    Roll and heading are NaN where the reference is `STEEP`.
 
     Args:
         q_nb: estimate (n, 4); rows of NaN where the method has no heading.
@@ -65,6 +72,7 @@ def attitude_errors(q_nb: np.ndarray, down_b: np.ndarray, reference: np.ndarray)
         estimated = euler(q_nb)
         roll, pitch = roll_pitch(down_b)
         angles = wrap(np.column_stack([roll, pitch, estimated[:, 2]]) - reference_euler)
+        angles[np.abs(reference_down[:, 0]) > math.sqrt(1.0 - STEEP**2), :: Measure.HEADING] = np.nan
         cross = np.linalg.norm(np.cross(down_b, reference_down), axis=1)
         tilt = np.arctan2(cross, np.sum(down_b * reference_down, axis=1))
         total = 2 * np.arccos(np.clip(np.abs(np.sum(q_nb * reference, axis=1)), 0.0, 1.0))

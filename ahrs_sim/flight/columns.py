@@ -61,6 +61,7 @@ class Column(IntEnum):
     WHEELS = "gear/wow", 1.0  # above 0: weight on them
     RPM = "propulsion/engine/propeller-rpm", 1.0
     THROTTLE = "fcs/throttle-pos-norm", 1.0
+    HELD = "forces/hold-down", 1.0  # above 0: a rocket is held on its pad, by a force that is not in FORCE
 
 
 def _span(first: Column, last: Column) -> slice:
@@ -79,5 +80,5 @@ WIND = _span(Column.WIND_NORTH, Column.WIND_DOWN)
 SCALE = np.array([column.factor for column in Column])
 """Factors to SI (columns,)."""
 
-OPTIONAL = (Column.RPM, Column.THROTTLE)
-"""What gliders and jets have not: 0."""
+OPTIONAL = (Column.RPM, Column.THROTTLE, Column.HELD)
+"""What some have not (gliders and jets): 0."""

@@ -103,6 +103,11 @@ class Fdm:
         end = run.get("end") if run is not None else None
         return float(end) if end else None
 
+    def trims(self, name: str) -> bool:
+        """Whether the script of that name trims, which puts the aircraft back to where it began."""
+        text = scripts()[name].read_text(errors="replace")
+        return "simulation/do_simple_trim" in text or "simulation/do_trim" in text
+
     def begin(self) -> None:
         """Put the aircraft where `ic/...` says; a property that only another simulator would provide is made, and is 0.
 

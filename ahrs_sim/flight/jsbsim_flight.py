@@ -41,13 +41,15 @@ from ahrs_sim.flight.pilot import Pilot, own_autopilot
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
 from ahrs_sim.flight.turbulence import RoughAir
 from ahrs_sim.scenario import Gust, Scenario, Start, seeds
-from ahrs_sim.world import wgs84
+from ahrs_sim.world import gravity, wgs84
 
 EULER, ADAMS_BASHFORTH_2, BUSS_2 = 1, 3, 7  # JSBSim's integrators
 
 PILOT_RATE = 50.0  # Hz
 SETTLE_GROUND = 4.0  # s until the springs of the wheels are at rest
 SETTLE_AIR = 15.0  # s until motor, trim and holds are
+TRIMMED_BY = 120.0  # s of a script that are looked at for a trim
+JUMP = 0.5  # m within a step that no velocity explains
 HARD = 6.0  # m/s, sink rate at touchdown that no wheel survives
 
 
@@ -66,6 +68,8 @@ class JsbsimFlight:
         steps = parse_steps(scenario.steps)  # before JSBSim starts: bad input is the cheapest error
         _check_gusts(scenario)
         self._events: list[Event] = []
+        self._before: np.ndarray | None = None  # the row before, for a script that jumps
+        self._skipped = 0.0  # s of a script before row 0
         self._fdm = fdm = Fdm(self.dt)
         end = math.inf if scenario.duration is None else scenario.duration
         self._scripted = scenario.script is not None
@@ -77,8 +81,9 @@ class JsbsimFlight:
                     f"{scenario.where}: aircraft: script '{scenario.script}' flies '{model}', not "
                     f"'{scenario.aircraft}'; leave aircraft out"
                 )
+            self._skipped = _last_trim(scenario, self.dt, script_end) if fdm.trims(scenario.script) else 0.0
             if script_end is not None:
-                end = min(end, script_end)
+                end = min(end, script_end - self._skipped)
         else:
             fdm.load_aircraft(scenario.aircraft, scenario.where)
         self._design = self._known(scenario, steps)
@@ -258,6 +263,11 @@ class JsbsimFlight:
     def _settle(self, scenario: Scenario) -> None:
         """Let the transient of the start pass before row 0."""
         if self._scripted:
+            for _ in range(round(self._skipped / self.dt)):
+                self._fdm.exec.run()
+            if self._skipped:
+                text = f"the script trims at {self._skipped:.2f} s and moves the aircraft: the flight begins after it"
+                self._events.append(Event(0.0, "info", "flight", text))
             return
         start = scenario.start
         if start.on_ground:
@@ -346,6 +356,19 @@ class JsbsimFlight:
         self.done = True
         self.error = error
 
+    def _find_jump(self, column: np.ndarray) -> None:
+        """End the flight where its script puts the aircraft elsewhere: no sensor and no estimator can follow."""
+        ends = (
+            [self._before, column[: EULER_ANGLES.stop]] if self._before is not None else [column[: EULER_ANGLES.stop]]
+        )
+        jumps, sizes = _jumps(np.concatenate(ends, axis=1), self.dt)
+        self._before = column[: EULER_ANGLES.stop, -1:]
+        if len(jumps) and self.error is None:
+            at = (self._next - column.shape[1] + int(jumps[0])) * self.dt
+            text = f"the script moves the aircraft by {sizes[0]:.0f} m within a step at {at:.1f} s (a trim?)"
+            self._events.append(Event(at, "error", "flight", text))
+            self._finish(f"{text}; end the flight before it with duration_s")
+
     def _truth(self, raw: np.ndarray) -> Truth:
         """Truth from raw rows, cut at the first that is not finite."""
         finite = np.isfinite(raw).all(axis=1)
@@ -357,14 +380,21 @@ class JsbsimFlight:
             self._events.append(Event(first * self.dt, "error", "flight", "the state is not a number any more"))
         n = len(raw)
         column = np.multiply(raw.T, SCALE[:, None], order="C")  # (columns, n)
+        q_nb = attitude.from_half_angles(*column[EULER_ANGLES])
+        accel_b = (column[FORCE] / column[Column.MASS]).T
+        if (held := column[Column.HELD] > 0.0).any():  # what holds it carries its weight
+            weight = gravity.normal_gravity(column[PLACE].T[held])
+            accel_b[held] = -weight[:, None] * attitude.down(q_nb[held])
+        if self._scripted and n:
+            self._find_jump(column)
         return Truth(
             t=np.arange(self._next - n, self._next) * self.dt,
             lla=np.ascontiguousarray(column[PLACE].T),
             vel_n=np.ascontiguousarray(column[VELOCITY].T),
-            q_nb=attitude.from_half_angles(*column[EULER_ANGLES]),
+            q_nb=q_nb,
             rate_ib_b=np.ascontiguousarray(column[RATES].T),
             rate_dot_b=np.ascontiguousarray(column[ANGULAR_ACCELERATION].T),
-            accel_b=np.ascontiguousarray((column[FORCE] / column[Column.MASS]).T),
+            accel_b=np.ascontiguousarray(accel_b),
             cg_b=np.ascontiguousarray(column[CENTRE_OF_GRAVITY].T),
             wind_n=np.ascontiguousarray(column[WIND].T),
             airspeed=column[Column.AIRSPEED],
@@ -373,10 +403,37 @@ class JsbsimFlight:
             pressure=column[Column.PRESSURE],
             temperature=column[Column.TEMPERATURE],
             height_agl=column[Column.HEIGHT_AGL],
-            on_ground=column[Column.WHEELS] > 0.0,
+            on_ground=(column[Column.WHEELS] > 0.0) | held,
             rpm=column[Column.RPM],
             throttle=column[Column.THROTTLE],
         )
+
+
+def _last_trim(scenario: Scenario, dt: float, end: float | None) -> float:
+    """The time (s) up to which a script puts the aircraft elsewhere by trimming it, flown beforehand to see."""
+    fdm = Fdm(dt)
+    fdm.load_script(scenario.script or "", scenario.where)
+    fdm.begin()
+    get = [fdm.getter(column.source) for column in list(Column)[: EULER_ANGLES.stop]]
+    rows = [[g() for g in get]]
+    for _ in range(round(min(TRIMMED_BY, end or TRIMMED_BY) / dt)):
+        if not fdm.exec.run():
+            break
+        rows.append([g() for g in get])
+    column = np.array(rows).T * SCALE[: EULER_ANGLES.stop, None]
+    jumps, _ = _jumps(column, dt)
+    return float(jumps[-1] + 1) * dt if len(jumps) else 0.0
+
+
+def _jumps(column: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (k,) after which position goes on by more than the velocity says, and by how many m (k,)."""
+    place, vel_n = column[PLACE], column[VELOCITY]
+    step = np.diff(place, axis=1) * [[wgs84.A], [wgs84.A], [1.0]]
+    step[1] *= np.cos(place[0, :-1])
+    step[2] *= -1.0
+    off = np.linalg.norm(step - 0.5 * dt * (vel_n[:, 1:] + vel_n[:, :-1]), axis=0)
+    jumps = np.flatnonzero(off > JUMP + 0.02 * dt * np.linalg.norm(vel_n[:, :-1], axis=0))
+    return jumps, off[jumps]
 
 
 def _reader(fdm: Fdm, column: Column) -> Callable[[], float]:

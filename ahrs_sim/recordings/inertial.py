@@ -7,8 +7,8 @@ attitude C_nw of these axes and gravity it is that of the receiver,
 
 whose antenna is at l_b and whose stamps are late by a delay. v_0 and C_nw belong to a window and are eliminated; delay,
 lever arm and biases are common to all (Gauss-Newton with Huber weights). Sigmas are those of independent windows, not
-of independent readings: what is wrong with a receiver is wrong for seconds (cluster-robust covariance: Cameron and
-Miller, "A Practitioner's Guide to Cluster-Robust Inference", J. Human Resources 50, 2015, eq. 11).
+of independent readings: what is wrong with a receiver is wrong for seconds (jackknife over clusters: Cameron and
+Miller, "A Practitioner's Guide to Cluster-Robust Inference", J. Human Resources 50, 2015, section VI.B, CR3).
 """
 
 import math
@@ -144,7 +144,7 @@ class Groups:
     size: int  # common parameters
     normal: np.ndarray = field(init=False)  # (p, p)
     right: np.ndarray = field(init=False)  # (p,)
-    scores: list[np.ndarray] = field(init=False, default_factory=list)  # (p,) of each group
+    parts: list[tuple[np.ndarray, np.ndarray]] = field(init=False, default_factory=list)  # both, of each group
     squares: float = 0.0
     count: int = 0
 
@@ -165,7 +165,7 @@ class Groups:
         score = kept.T @ left
         self.normal += kept.T @ kept
         self.right += score
-        self.scores.append(score)
+        self.parts.append((kept.T @ kept, score))
         self.squares += float(left @ left)
         self.count += len(residual) - own.shape[1]
         return inverse
@@ -176,14 +176,16 @@ class Groups:
         return step
 
     def sigma(self, x: np.ndarray, prior: np.ndarray) -> np.ndarray:
-        """Sigmas (p,): the greater of those of independent groups and of independent rows."""
-        inverse = np.linalg.inv(self.normal + np.diag(prior**-2))
-        scores = np.array(self.scores)
-        n = len(scores)
-        meat = scores.T @ scores * (n / max(n - 1.0, 1.0))
-        clustered = np.diag(inverse @ meat @ inverse)
-        plain = np.diag(inverse) * max(1.0, self.squares / max(self.count, 1))
-        sigma: np.ndarray = np.sqrt(np.maximum(clustered, plain))
+        """Sigmas (p,): the greater of those of independent rows and of independent groups, left out one by one.
+
+        With few groups they are widened (about as Student's t is) so that three of them hold as they do for many.
+        """
+        whole = self.normal + np.diag(prior**-2)
+        n = len(self.parts)
+        shifts = np.array([np.linalg.solve(whole - normal, score) for normal, score in self.parts])
+        grouped = np.sum(shifts**2, axis=0) * (n - 1.0) / n * (1.0 + 3.5 / max(n - 1.0, 1.0)) ** 2
+        plain = np.diag(np.linalg.inv(whole)) * max(1.0, self.squares / max(self.count, 1))
+        sigma: np.ndarray = np.sqrt(np.maximum(grouped, plain))
         return sigma
 
 

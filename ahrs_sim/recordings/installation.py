@@ -22,7 +22,7 @@ from ahrs_sim.recordings.survey import Survey
 from ahrs_sim.world.gravity import STANDARD as G
 
 SEEN_DELAY = 0.06  # s: a greater sigma is no answer
-SEEN_LEVER = 0.5  # m
+SEEN_LEVER = 0.6  # m
 SEEN_ANGLE = math.radians(3.0)
 SEEN_SCALE = 0.05
 _WIND_S = 90.0
@@ -101,6 +101,8 @@ def _gnss(out: Installation, s: Survey, track: Track | None, mapping: Map) -> No
     found = Estimate(value, np.array([track.delay_sigma]), track.delay_sigma < SEEN_DELAY)
     _delay(out, "velocity", "GNSS velocity", found, mapping)
     if found.seen and (late := position_delay(s, track)) is not None:
+        sigma = np.hypot(late.sigma, track.delay_sigma)  # of the time of the velocity that it is held against
+        late = replace(late, sigma=sigma, seen=bool(sigma[0] < SEEN_DELAY))
         _delay(out, "fix", "GNSS position", late, mapping)
     seen = bool((track.lever_sigma < SEEN_LEVER).all())
     out.found["lever"] = Estimate(track.lever_b, track.lever_sigma, seen)

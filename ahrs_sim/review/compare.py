@@ -240,6 +240,8 @@ def table(result: dict[str, Any], *, details: bool = False) -> str:
     for name, values in rows.items():
         if removed := _removed(values):
             print(f"{name:{width}s} {removed}", file=out)
+    if steep := max((values.get("steep", 0.0) for values in rows.values()), default=0.0):
+        print(f"roll and heading leave out {100 * steep:.1f} %: nose within 6 deg of the vertical", file=out)
     if details:
         print(file=out)
         _details(rows, width, out)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from ahrs_sim import attitude
-from ahrs_sim.evaluation import metrics
+from ahrs_sim.evaluation import accuracy, metrics
 from ahrs_sim.review.compare import table
 
 ANGLE = st.floats(-3.1, 3.1)
@@ -104,3 +104,22 @@ def test_the_table_is_sorted_by_tilt_and_fits_eighty_columns() -> None:
     lines = table({"reference": "truth", "from_s": 0.0, "to_s": 662.0, "estimators": rows}).splitlines()
     assert [line.split()[0] for line in lines[2:]] == ["ins21-sbg", "ckf-air-chr", "never"]
     assert max(map(len, lines)) <= 80
+
+
+def test_roll_and_heading_are_left_out_where_the_nose_is_near_the_vertical() -> None:
+    """Half a degree about the nose of a tail-sitter is half a degree, not tens of heading and roll."""
+    pitch = np.radians(np.array([0.0, 80.0, 84.0, 84.4, 89.0, 90.0, -85.0]))
+    reference = attitude.from_euler(np.column_stack([np.full(7, 0.1), pitch, np.full(7, 1.0)]))
+    small = attitude.from_euler(np.tile([[0.004, 0.003, -0.004]], (7, 1)))
+    q = attitude.product(reference, small)
+    errors = metrics.attitude_errors(q, attitude.down(q), reference)
+    steep = np.array([False, False, False, True, True, True, True])
+    np.testing.assert_array_equal(np.isnan(errors[:, 0]), steep)
+    np.testing.assert_array_equal(np.isnan(errors[:, 2]), steep)
+    assert np.isfinite(errors[:, [1, 3, 4]]).all()
+    assert np.nanmax(np.abs(errors[:, [0, 2]])) < 0.06
+    assert errors[:, 4] == pytest.approx(np.full(7, errors[0, 4]), rel=1e-6)
+    found = accuracy.summary([errors.astype(np.float32)], np.full(7, -1))
+    assert found["steep"] == pytest.approx(4 / 7)
+    assert found["availability"] == 1.0
+    assert "steep" not in accuracy.summary([errors[:3].astype(np.float32)], np.full(3, -1))

@@ -18,7 +18,7 @@ from flight_helpers import (
 )
 
 from ahrs_sim import scenario
-from ahrs_sim.flight import open_flight
+from ahrs_sim.flight import jsbsim_flight, open_flight
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.world.gravity import gravity_n, j2_gravity_n
 
@@ -254,3 +254,28 @@ def test_how_far_the_logged_rate_of_the_truth_carries():
     truth = Flown(airborne({"do": "windup_turn"}, {"do": "roll"}, {"do": "straight", "for_s": 10.0}, wind=ROUGH)).truth
     every, fourth = (attitude_residual_deg(rows).max() for rows in (truth, truth[::4]))
     assert every < 0.01 < 5.0 * every < fourth < 0.5
+
+
+def test_a_script_that_trims_begins_after_it():
+    """JSBSim's trim puts the aircraft back to its initial conditions: no row of the truth has both sides of that."""
+    flown = Flown(make(script="c172_cruise_8K", duration_s=12.0))
+    truth = flown.truth
+    assert flown.flight.error is None
+    north = np.diff(truth.lla[:, 0]) * 6.37e6
+    assert np.abs(north - 0.5 * np.diff(truth.t) * (truth.vel_n[1:, 0] + truth.vel_n[:-1, 0])).max() < 0.1
+    assert truth.t[0] == 0.0
+    assert any("the script trims at" in event.text for event in flown.events)
+
+
+def test_a_script_that_jumps_later_ends_there(monkeypatch):
+    monkeypatch.setattr(jsbsim_flight, "TRIMMED_BY", 0.0)
+    flown = Flown(make(script="c172_cruise_8K", duration_s=40.0))
+    assert "the script moves the aircraft by" in (flown.flight.error or "")
+    assert "duration_s" in flown.flight.error
+
+
+def test_a_rocket_on_its_pad_feels_its_weight():
+    truth = Flown(make(script="J2460", duration_s=2.0)).truth
+    assert truth.on_ground.all()
+    np.testing.assert_allclose(np.linalg.norm(truth.accel_b, axis=1), 9.792, atol=2e-3)
+    np.testing.assert_allclose(truth.accel_b[:, 0], 9.792, atol=2e-3)  # nose up
