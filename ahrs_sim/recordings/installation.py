@@ -21,7 +21,7 @@ from ahrs_sim.recordings.mapping import Map
 from ahrs_sim.recordings.survey import Survey
 from ahrs_sim.world.gravity import STANDARD as G
 
-SEEN_DELAY = 0.06  # s: a greater sigma is no answer
+SEEN_DELAY, SEEN_AIR_DELAY = 0.06, 0.12  # s: a greater sigma is no answer
 SEEN_LEVER = 0.6  # m
 SEEN_ANGLE = math.radians(3.0)
 SEEN_SCALE = 0.05
@@ -359,7 +359,7 @@ def air(s: Survey, track: Track) -> tuple[Estimate, Estimate] | None:
     turning = np.sqrt(np.mean(np.sum(w.between(w.rate_b, t) ** 2, axis=1)))  # the antenna's own speed
     sigma = np.hypot(groups.sigma(x - [0.0, 1.0], prior), [5e-3, 1e-3 + arm * turning / float(np.median(speed))])
     return (
-        Estimate(x[:1], sigma[:1], bool(sigma[0] < SEEN_DELAY)),
+        Estimate(x[:1], sigma[:1], bool(sigma[0] < SEEN_AIR_DELAY)),
         Estimate(x[1:], sigma[1:], bool(sigma[1] < SEEN_SCALE)),
     )
 
@@ -377,7 +377,9 @@ def boresight(s: Survey, track: Track) -> tuple[Estimate, Estimate, Estimate] | 
         return None
     C = track.attitude(rows)
     down_b = C[:, 2, :]
-    roll = np.arctan2(down_b[:, 1], down_b[:, 2])
+    turn = np.sum(down_b * (s.gyro_b[rows] - track.gyro_bias), axis=1)
+    bank = np.arctan(np.linalg.norm(vel_n[rows], axis=1) * turn / track.gravity)  # of what turning is left
+    roll = np.arctan2(down_b[:, 1], down_b[:, 2]) - bank
     spell = np.floor(s.t[rows] / _WIND_S).astype(int)
     speed = np.interp(s.t[rows], s.t_air, s.airspeed) if len(s.t_air) > 10 else np.full(len(rows), math.nan)
     x, noise, groups = np.zeros(2), 1.0, Groups(2)  # sideways and downward part of a unit vector along the velocity

@@ -49,7 +49,7 @@ class Magnetometer:
         self.triad = Triad("magnetometer", f, fitting, every)
         self.motor_field = fitting.normal("magnetometer", "motor field", 3) * f.motor_field
         iron = fitting.normal("magnetometer", "soft iron", 3, 3) * f.soft_iron
-        self.triad.matrix[:] = (np.eye(3) + 0.5 * (iron + iron.T)) @ self.triad.matrix
+        self.triad.matrix[:] = np.einsum("ij,jk->ik", np.eye(3) + 0.5 * (iron + iron.T), self.triad.matrix)
         self.model_error = fitting.world("magnetic field").standard_normal(3) * f.model_error
         self._outbox = Outbox(MagRecord, fitting.channel("magnetometer"), 0.0)
 

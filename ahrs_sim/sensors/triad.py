@@ -93,7 +93,7 @@ class Triad:
         # Whole quanta within the range, so that quantising what was clipped changes nothing more.
         self._limit = np.floor(f.range / f.quantum) * f.quantum if f.quantum > 0.0 else f.range
         self._mount = np.ascontiguousarray(fitting.mount)
-        self._true_mount = np.ascontiguousarray(fitting.turned @ fitting.mount)
+        self._true_mount = np.einsum("ij,jk->ik", fitting.turned, fitting.mount)
 
     @property
     def scale_sigma(self) -> float:
