@@ -61,11 +61,4 @@ def open_flight(scenario: Scenario) -> Flight:
     return JsbsimFlight(scenario)
 
 
-def aircraft_names() -> list[str]:
-    """Every aircraft that can fly: ours and JSBSim's."""
-    from ahrs_sim.flight.fdm import aircraft
-
-    return sorted(aircraft())
-
-
-__all__ = ["Event", "Flight", "Setpoints", "Truth", "aircraft_names", "open_flight"]
+__all__ = ["Event", "Flight", "Setpoints", "Truth", "open_flight"]

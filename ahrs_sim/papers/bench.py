@@ -114,9 +114,10 @@ def turned(
     down = attitude.down(x[None, :4])[0]  # a turn about the vertical is one about `down` in body axes
     turn(x[:4], *(angle * down), q)
     x[:4] = q
-    widened = _widened(P, x[:4], down, angle)
+    elements = len(P) == len(x)  # errors are those of q's elements; else of a rotation, one component less than x
+    widened = _widened(P, x[:4], down, angle, elements)
     if variance is not None:
-        rank = 4 if len(P) == 10 else 3
+        rank = 4 if elements else 3
         widened = P.copy()
         widened[:rank, :rank] = variance * np.eye(rank)
     state["filter"]["P"] = widened
@@ -124,10 +125,10 @@ def turned(
     return samples[taken:], estimator
 
 
-def _widened(P: np.ndarray, q: np.ndarray, down: np.ndarray, angle: float) -> np.ndarray:
-    """P with a heading variance of `angle`^2 in it: elements of q, or an error in body axes."""
+def _widened(P: np.ndarray, q: np.ndarray, down: np.ndarray, angle: float, elements: bool) -> np.ndarray:
+    """Add a heading variance of `angle`^2 to P: of the elements of q, or of an error in body axes."""
     P = P.copy()
-    if len(P) == 10:
+    if elements:
         slope = attitude.by_rotation(q) @ down
         P[:4, :4] += angle**2 * np.outer(slope, slope)
     else:

@@ -8,7 +8,7 @@ still, twice, or with a stamp of another clock is left out and counted.
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -109,6 +109,17 @@ class Converter:
         self._static = (np.empty(0, np.int64), np.empty(0))  # ns, Pa: static pressure so far
         self._height = float(mapping.place.get("altitude_m", height))
         self._newest = np.iinfo(np.int64).min  # ns, latest stamp of the IMU
+        self._makers: dict[str, Callable[[np.ndarray, Choice], dict[str, np.ndarray]]] = {
+            "imu": self._imu,
+            "mag": self._mag,
+            "fix": self._fix,
+            "velocity": self._velocity,
+            "heading": self._heading,
+            "static_pressure": self._static_pressure,
+            "diff_pressure": self._diff_pressure,
+            "air": self._air,
+            "reference": self._reference,
+        }
 
     def records(self, blocks: Iterable[dict[str, np.ndarray]]) -> Iterator[SuiteBlock]:
         """Blocks of records by kind, in the order of their stamps, `arrival_ns` being the stamp."""
@@ -139,7 +150,7 @@ class Converter:
             if not len(array):
                 continue
             ns = self._stamps(kind, array)
-            make = self._reference if kind.startswith(RECORDED) else getattr(self, f"_{kind}")
+            make = self._reference if kind.startswith(RECORDED) else self._makers[kind]
             columns = make(array, self.chosen[kind])
             shift = abs(self.mapping.shifts.get(kind, 0))
             good = np.abs(ns - (array["log_time"] - self.epoch_ns)) < OTHER_CLOCK_NS + shift

@@ -1,10 +1,10 @@
 """`ahrs-sim campaign`: hundreds of flights of one scenario with varied seeds and values, as a Parquet data set.
 
     plan = Plan.make(scenario, runs=200, vary=["wind.speed_mps=uniform:0..8"])
-    store = Store("out", plan)
-    with runs.pool(2) as pool:
-        fly(plan, store, pool)
-    print(campaign_report.text(store))
+    store = Store("out")
+    with pool.local_pool(2) as processes:
+        fly(plan, store, processes)
+    print(campaign_report.text(campaign_report.make(store)))
 
 Run k is the scenario with seed `seed + k` and values that depend on the campaign's seed, the key and k alone, so every
 run can be flown again by itself, in any order, on any machine. Of a run one row per estimator is kept:

@@ -309,7 +309,7 @@ def _fill(fault: Fault, table: Table) -> None:
     if kind == "wrong_fix" and fault.sensor not in ("heading", "position"):
         raise table.error("kind", 'wrong_fix is a matter of sensor = "heading" or "position"')
     if kind in ("bias", "drift", "spike", "saturation", "wrong_fix", "field_step", "field_burst"):
-        fault.size = _size(fault, table, required=True)
+        fault.size = _size(fault, table)
     if kind == "spike":
         fault.every = table.number("every_s", math.inf, above=0.0) if table.has("every_s") else math.inf
     if kind == "noise":
@@ -318,7 +318,7 @@ def _fill(fault: Fault, table: Table) -> None:
         if len(given) + bool(sized) != 1:
             raise table.error("noise", "give one of variance_factor, sigma_factor or a size (sigma of added noise)")
         if sized:
-            fault.size = _size(fault, table, required=True)
+            fault.size = _size(fault, table)
         elif given[0] == "sigma_factor":
             fault.factor = table.number("sigma_factor", minimum=0.0)
         else:
@@ -345,8 +345,8 @@ def _fill(fault: Fault, table: Table) -> None:
         fault.channels = ("diff_pressure", "static_pressure")
 
 
-def _size(fault: Fault, table: Table, *, required: bool) -> np.ndarray:
-    """`size_UNIT` in a unit of the fault's sensor, SI, one number per axis."""
+def _size(fault: Fault, table: Table) -> np.ndarray:
+    """Read `size_UNIT` in a unit of the fault's sensor: SI, one number per axis."""
     quantities = {CHANNELS[c][0] for c in fault.channels}
     if len(quantities) > 1 or fault.sensor == "air_data":
         raise table.error("sensor", f"{fault.kind} needs one sensor of {', '.join(fault.channels)}")

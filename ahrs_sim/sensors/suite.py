@@ -136,7 +136,7 @@ class Suite:
 
 def make_suite(
     component: Component, *, seed: int, dt: float, epoch: datetime.datetime, start_lla: np.ndarray,
-    faults: Sequence[Component] = (), duration_hint: float | None = None,
+    faults: Sequence[Component] = (),
 ) -> Suite:  # fmt: skip
     """The suite of a scenario's `[suite.NAME]` table.
 
@@ -147,7 +147,6 @@ def make_suite(
         epoch: date of t = 0.
         start_lla: (3,) rad, rad, m: where the flight begins.
         faults: the scenario's; those of other suites are checked and left alone.
-        duration_hint: s; not needed by any instrument so far.
 
     Raises:
         InputError: anything wrong in the table, its grade or its faults: where, which key, what to do.

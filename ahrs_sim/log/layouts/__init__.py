@@ -52,7 +52,7 @@ def build(suites: Mapping[str, Sequence[str]], estimators: Sequence[str]) -> dic
     """A layout, fit for JSON: 3-D and events beside attitude, errors, sensors and biases.
 
     Args:
-        suites: instruments (keys of `record.INSTRUMENTS`) by suite.
+        suites: instruments (keys of `topics.INSTRUMENTS`) by suite.
         estimators: their names.
     """
     panels: dict[str, Any] = {}

@@ -133,7 +133,6 @@ class LogWriter:
         epoch_ns: ns since 1970, kept in the metadata record `log`; the time of the attachments.
         chunk_s: length of a chunk in log time; what a crash can cost.
         force: overwrite a finished or an unfinished log of that name.
-        compress: false: chunks as they are and without checksum, for a log that is read once and thrown away.
         listener: is given all messages, too.
 
     Raises:
@@ -147,7 +146,6 @@ class LogWriter:
         epoch_ns: int,
         chunk_s: float = 1.0,
         force: bool = False,
-        compress: bool = True,
         listener: Listener | None = None,
     ) -> None:
         self.path = Path(path)
@@ -155,7 +153,6 @@ class LogWriter:
         self._epoch_ns = epoch_ns
         self._chunk_ns = round(chunk_s * 1e9)
         self._force = force
-        self._compress = compress
         self._listener = listener
         self._channels: list[LogChannel | CarriedChannel] = []
         self._schemas: dict[str, int] = {}
@@ -429,11 +426,11 @@ class LogWriter:
                 data, start, end, index = item
                 self._file.chunk(
                     Chunk(
-                        compression="zstd" if self._compress else "",
-                        data=compressor.compress(data) if self._compress else bytes(data),
+                        compression="zstd",
+                        data=compressor.compress(data),
                         message_start_time=start,
                         message_end_time=end,
-                        uncompressed_crc=zlib.crc32(data) if self._compress else 0,
+                        uncompressed_crc=zlib.crc32(data),
                         uncompressed_size=len(data),
                     ),
                     index,
