@@ -33,7 +33,7 @@ from estimators.settings import Setting, checked
 from estimators.types import Estimates, Samples, SensorInfo, Site, Status, blank
 
 MAX_STEP = 0.5
-"""s, longest time that a peer is told has gone by from one row to the next."""
+"""s, longest step from one row to the next that a peer is given."""
 
 BACKWARDS = 1.0
 """s: a time stamp that goes further back is another recording, not jitter."""

@@ -52,7 +52,7 @@ def assert_accuracy(log: str | Path, limits: Mapping[str, Mapping[str, float]]) 
             if value is None:
                 wrong.append(f"{estimator}: no figure '{figure}'{nearest(figure, found[estimator])}")
             elif math.isnan(value):
-                wrong.append(f"{estimator}: {figure} cannot be told (limit {limit:g})")
+                wrong.append(f"{estimator}: {figure} is not known (limit {limit:g})")
             elif value < limit if figure.endswith("availability") else value > limit:
                 wrong.append(f"{estimator}: {figure} is {value:.4g}, limit {limit:g}")
     if wrong:

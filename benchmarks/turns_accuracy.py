@@ -140,7 +140,7 @@ The goals were set on a prototype with its own sensors; the grades here say what
   noise is the incidence and sideslip that it does not measure, which change slowly.
 
 The covariance of `marg-*` was 10 to 17 times too small (NEES, CHR) while it knew only white noise; noise that grows
-with the rate and the errors that no average removes (`estimators/models/marg.py`) make it honest.
+with the rate and the errors that no average removes (`estimators/models/marg.py`) make it consistent.
 """
 
 

@@ -28,13 +28,13 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     where.add_argument("--workers", type=count, metavar="N", help="processes (default: one per processor)")
     where.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster, e.g. tcp://head:8786")
     command.add_argument("--keep-logs", metavar="worst:N", help="logs of the N worst runs, or all")
-    command.add_argument("--metric", default="tilt_rmse_deg", metavar="FIGURE", help="what makes a run bad")
+    command.add_argument("--metric", default="tilt_rmse_deg", metavar="FIGURE", help="figure used to rank runs")
     command.add_argument(
         "--tune",
         action="append",
         default=[],
         metavar="EST.SETTING=A..B",
-        help="minimise the metric; verdict on N further seeds; may be repeated",
+        help="minimise the metric, then compare on N further seeds; may be repeated",
     )
     command.add_argument("--json", action="store_true")
     command.add_argument("--quiet", action="store_true", help="print nothing but errors")

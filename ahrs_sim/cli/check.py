@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
         check.renew(suite, found, arguments.why)
         print(f"{suite.baseline}: renewed")
         return 0
-    result = check.judge(suite, found)
+    result = check.compare(suite, found)
     if arguments.junit:
         arguments.junit.write_text(check.junit(result), encoding="utf-8")
     if arguments.json:

@@ -24,7 +24,7 @@ def run(arguments: argparse.Namespace) -> None:
 
     chosen = arguments.name or papers.names()
     for name in chosen:
-        papers.title(name)  # a misspelt one is said before anything runs
+        papers.title(name)  # a misspelt one is reported before anything runs
     done = []
     progress = Progress("papers", unit="done", hidden=arguments.json)
     for result in papers.run_all(chosen, arguments.quick, pools.workers_here()):

@@ -42,7 +42,7 @@ def _fly(scenario: Scenario, rows: int, pipe: Connection) -> None:
     """The other process: what the flight is, then its blocks; the pipe's own size keeps it from running away."""
     end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the user's Ctrl-C is for the process that writes the log
-    with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # nobody listens any more: killed, or stopped
+    with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # the reader has gone: killed, or stopped
         try:
             flight = open_flight(scenario)
             pipe.send((flight.dt, flight.start_lla, flight.expected_duration, flight.attachments()))

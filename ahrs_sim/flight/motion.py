@@ -463,7 +463,7 @@ class MotionFlight:
         return events
 
     def feedback(self, q_nb: np.ndarray, rate_b: np.ndarray) -> None:
-        """Nobody listens."""
+        """Ignore the attitude: a motion has no autopilot."""
 
     def attachments(self) -> dict[str, bytes]:
         """None: no aircraft."""

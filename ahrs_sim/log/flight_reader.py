@@ -18,9 +18,9 @@ from ahrs_sim.log.mcap.reader import LogReader, quaternion, stamps, vector
 from ahrs_sim.log.messages import LONGEST_S
 from ahrs_sim.log.topics import (
     EVENTS,
-    HEARD,
     INSTRUMENTS,
     ODOMETRY,
+    RECEIVED,
     REFERENCE,
     SETPOINTS,
     STATE,
@@ -142,12 +142,12 @@ class FlightReader(LogReader):
         """
         if unknown := [name for name in names if name not in self.suites]:
             raise InputError(f"{self.path}: no suite '{unknown[0]}'{nearest(unknown[0], self.suites)}")
-        heard = [(suite, i) for suite in names for i in self.suites[suite] if i in HEARD]
-        for suite, instrument in heard:
+        received = [(suite, i) for suite in names for i in self.suites[suite] if i in RECEIVED]
+        for suite, instrument in received:
             for route in (INSTRUMENTS[instrument][1], *([STATUS[instrument]] if instrument == "fix" else [])):
                 self._expect(f"/{suite}{route.topic}", route)
-        instruments = {f"/{suite}{INSTRUMENTS[i][1].topic}": (suite, i) for suite, i in heard}
-        satellites = {f"/{suite}{STATUS[i].topic}": suite for suite, i in heard if i == "fix"}
+        instruments = {f"/{suite}{INSTRUMENTS[i][1].topic}": (suite, i) for suite, i in received}
+        satellites = {f"/{suite}{STATUS[i].topic}": suite for suite, i in received if i == "fix"}
         truth = [ODOMETRY.topic] if ODOMETRY.topic in self.topics and not beside else []
         for portion in self.blocks([*instruments, *satellites, *truth, *topics]):
             if beside:
@@ -181,7 +181,7 @@ class FlightReader(LogReader):
         return columns
 
     def estimates(self, name: str, start: float | None = None, end: float | None = None) -> Estimates:
-        """What an estimator said.
+        """Read what an estimator reported.
 
         Raises:
             InputError: not in this log.

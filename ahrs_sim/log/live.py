@@ -50,7 +50,7 @@ class Live:
         self._repeated_ns = 0
         self._zero: tuple[float, int] | None = None  # real clock, s, and log time, ns, of the first message
         self._server: Any = None
-        try:  # said before anything flies; the server itself waits for the topics, see begin()
+        try:  # reported before anything flies; the server itself waits for the topics, see begin()
             with socket.create_server(("127.0.0.1", port)) as tried:
                 self.port = int(tried.getsockname()[1])
         except OSError as error:
@@ -108,7 +108,7 @@ class Live:
                 time.sleep(_TICK_S)
 
     def _say(self, now_ns: int) -> None:
-        """How late it is, and now and then what was said once."""
+        """Broadcast the current time and re-send the latched message every second."""
         self._server.broadcast_time(now_ns)
         if self._latched and now_ns - self._repeated_ns >= _REPEAT_NS:
             self._repeated_ns = now_ns

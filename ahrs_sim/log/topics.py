@@ -286,7 +286,7 @@ INSTRUMENTS: dict[str, tuple[type[Record], Route]] = {
 }
 """Block type and topic of each instrument of a suite; the topic goes behind `/<suite>`."""
 
-HEARD = ("imu", "mag", "fix", "velocity", "heading", "air")
+RECEIVED = ("imu", "mag", "fix", "velocity", "heading", "air")
 """Instruments that estimators listen to."""
 
 STATUS: dict[str, Route] = {

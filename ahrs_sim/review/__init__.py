@@ -1,1 +1,1 @@
-"""Review: everything that is said about a flight afterwards, from its log alone."""
+"""Review: everything that is made of a flight afterwards, from its log alone."""

@@ -54,7 +54,7 @@ def compare(
     Returns:
         {"log", "reference", "from_s", "to_s", "estimators": {NAME: {"tilt_rmse_deg"..., "availability",
         "phases": {PHASE: {...}}}}}; with `align` "aligned_deg" and with `sync` "delay_s"; with `band_s` also "nees",
-        "nis" and "bands": {MEASURE: [...]}. A value that cannot be told (a heading that the method does not estimate)
+        "nis" and "bands": {MEASURE: [...]}. A value that is not known (a heading that the method does not estimate)
         is None.
 
     Raises:

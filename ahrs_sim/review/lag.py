@@ -95,10 +95,10 @@ def lags(t: np.ndarray, truth: np.ndarray, estimate: np.ndarray) -> tuple[float,
             columns.append(np.where(gap | (np.interp(at, t, (~known | steep).astype(float)) > 0.0), np.nan, values))
         return np.column_stack(columns)
 
-    true, said = uniform(truth), uniform(estimate)
+    true, estimated = uniform(truth), uniform(estimate)
     found = []
     for rows in (max(1, round(WINDOW / dt)), 1):
-        moved = [(x[rows:] - x[:-rows]) / (rows * dt) for x in (true, said)]
+        moved = [(x[rows:] - x[:-rows]) / (rows * dt) for x in (true, estimated)]
         known = np.isfinite(moved[0]).all(axis=1)
         rms = np.sqrt(np.mean(moved[0][known] ** 2)) if known.any() else 0.0
         found.append(delay(moved[0], moved[1], dt) if rms > LEAST_RATE else math.nan)
@@ -108,7 +108,7 @@ def lags(t: np.ndarray, truth: np.ndarray, estimate: np.ndarray) -> tuple[float,
 def of_log(
     path: Path, *, reference: str | None = None, start: float | None = None, end: float | None = None
 ) -> dict[str, dict[str, float | None]]:
-    """`attitude_lag_ms` and `rate_lag_ms` of every estimator in a log; None: cannot be told.
+    """`attitude_lag_ms` and `rate_lag_ms` of every estimator in a log; None: unknown.
 
     Args:
         path: the log.

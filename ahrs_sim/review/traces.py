@@ -61,7 +61,7 @@ class Worst:
 
 @dataclass(frozen=True)
 class EstimatorTrace:
-    """What one estimator said, against the reference."""
+    """What one estimator reported, beside the reference."""
 
     name: str
     suite: str
@@ -225,7 +225,7 @@ def gather(
 def _columns(log: FlightReader) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, str]]:
     """By topic and name what is needed of the truth and of the suites, and each suite's topic of position fixes.
 
-    One pass, for uncompressing is what costs. What a replay has heard of a bag counts as suite `bag`.
+    One pass, for uncompressing is what costs. What a replay has received of a bag counts as suite `bag`.
     """
     wanted: dict[str, Callable[[np.ndarray], dict[str, np.ndarray]]] = {
         compare.TRUTH_TOPIC: lambda m: {"q_nb": quaternion(m["orientation"])},
@@ -236,8 +236,8 @@ def _columns(log: FlightReader) -> tuple[dict[str, dict[str, np.ndarray]], dict[
     if missing and compare.TRUTH_TOPIC in log.topics:
         raise InputError(f"{log.path}: no {missing[0]} in it: there is nothing to compare with")
     fixes = {suite: f"/{suite}{INSTRUMENTS['fix'][1].topic}" for suite in log.suites}
-    if heard := log.metadata.get("replay", {}).get("topic fix"):
-        fixes[BAG] = heard.split()[0]
+    if source := log.metadata.get("replay", {}).get("topic fix"):
+        fixes[BAG] = source.split()[0]
     for suite, fix in fixes.items():
         wanted[f"/{suite}/imu/errors"] = _biases
         wanted[f"/{suite}/gps/status"] = lambda m: {"satellites": m["satellites"].astype(float)}
@@ -377,15 +377,15 @@ def _suite(
     errors, status, fixes = (columns.get(t, none) for t in (f"/{suite}/imu/errors", f"/{suite}/gps/status", fix))
     rows = Decimator(COARSE).rows(errors["t"])
     rows = rows[(errors["t"][rows] >= low) & (errors["t"][rows] <= high)]
-    heard = (status["t"] >= low) & (status["t"] <= high)
+    within = (status["t"] >= low) & (status["t"] <= high)
     lla = fixes.get("lla", np.empty((0, 3)))
     lla = lla[np.isfinite(lla).all(axis=1) & (fixes["t"] >= low) & (fixes["t"] <= high)]
     return SuiteTrace(
         t=errors["t"][rows],
         gyro_bias=errors.get("gyro", np.empty((0, 3)))[rows],
         accel_bias=errors.get("accel", np.empty((0, 3)))[rows],
-        satellites_t=status["t"][heard],
-        satellites=status.get("satellites", np.empty(0))[heard],
+        satellites_t=status["t"][within],
+        satellites=status.get("satellites", np.empty(0))[within],
         fix=wgs84.offset_n(lla, origin)[:, :2] if len(lla) else np.empty((0, 2)),
     )
 

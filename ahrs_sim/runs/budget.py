@@ -2,7 +2,7 @@
 
 A flight is flown once a seed; what happened is then measured again and again, with every error of the grade, with none,
 with one alone and with all but one. Each error draws from its own stream, so that the others stay as they are. The
-estimator is told the same data sheet every time: its gains do not change, only what it is fed (an error budget in the
+estimator gets the same data sheet every time: its gains do not change, only what it is fed (an error budget in the
 sense of Maybeck 1979, section 6.8). A filter tuned to a better sensor would gain somewhat more.
 """
 

@@ -13,7 +13,7 @@ run can be flown again by itself, in any order, on any machine. Of a run one row
     vary.KEY              the values it had
     estimator             null when the run failed
     error                 why it failed, else null
-    FIGURE, PHASE.FIGURE  what `compare` says: tilt_rmse_deg, straight.heading_p95_deg, ...; NaN: cannot be told
+    FIGURE, PHASE.FIGURE  what `compare` says: tilt_rmse_deg, straight.heading_p95_deg, ...; NaN: not known
     nees, nis             means per degree of freedom
     bands.tilt, .heading  RMSE (deg) of every `band_s` since the start, as lists
 

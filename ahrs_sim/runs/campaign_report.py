@@ -1,4 +1,4 @@
-"""What a campaign says: distributions, bands over time, sensitivities, honesty, worst runs. Reads the data set only."""
+"""Report of a campaign, from its data set: distributions, bands over time, sensitivities, consistency, worst runs."""
 
 import io
 import math
@@ -16,7 +16,7 @@ _ROWS = 15  # lines of a table over time
 
 
 def make(store: Store, metric: str = METRIC) -> dict[str, Any]:
-    """The report as plain data for JSON; None: cannot be told.
+    """The report as plain data for JSON; None: not known.
 
     Args:
         store: of the campaign.
@@ -157,7 +157,7 @@ def text(report: dict[str, Any]) -> str:
         print(f"\n{figure} over runs\n{'':{width}s}{heads}", file=out)
         for name, values in estimators.items():
             print(f"{name:{width}s}{_cells(values['distribution'].get(figure, {}))}", file=out)
-    print(f"\nNEES and NIS per degree of freedom, mean of a run (1: honest; above: overconfident)\n{'':{width}s}"
+    print(f"\nNEES and NIS per degree of freedom, mean of a run (1: consistent; above 1: overconfident)\n{'':{width}s}"
           f"{'NEES p50':>9s}{'p95':>9s}{'NIS p50':>9s}{'p95':>9s}", file=out)  # fmt: skip
     for name, values in estimators.items():
         pairs = [values["consistency"].get(f, {}).get(q) for f in ("nees", "nis") for q in ("p50", "p95")]

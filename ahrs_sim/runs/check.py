@@ -115,7 +115,7 @@ class Row:
     low: float  # of the paired difference
     high: float
     tolerance: float
-    verdict: str
+    result: str  # SAME, BETTER, WORSE, NEW, GONE
 
     @property
     def change(self) -> float:
@@ -135,12 +135,12 @@ class Result:
     @property
     def passed(self) -> bool:
         """Nothing worse, nothing gone, every flight flown."""
-        return not self.errors and not any(row.verdict in (WORSE, GONE) for row in self.rows)
+        return not self.errors and not any(row.result in (WORSE, GONE) for row in self.rows)
 
     def changed(self) -> list[Row]:
         """Rows worth a line, worst first."""
         order = {WORSE: 0, GONE: 1, BETTER: 2, NEW: 3}
-        return sorted((r for r in self.rows if r.verdict in order), key=lambda r: order[r.verdict])
+        return sorted((r for r in self.rows if r.result in order), key=lambda r: order[r.result])
 
 
 @dataclass(frozen=True)
@@ -413,7 +413,7 @@ def _dumps(data: dict[str, Any]) -> str:
 # ----------------------------------------------------------------------------------------------- judging
 
 
-def judge(suite: Suite, found: Found) -> Result:
+def compare(suite: Suite, found: Found) -> Result:
     """Compare what was found with the baseline.
 
     Raises:
@@ -442,8 +442,8 @@ def judge(suite: Suite, found: Found) -> Result:
 def _row(suite: Suite, flight: str, estimator: str, figure: str, before: np.ndarray, now: np.ndarray) -> Row:
     both = np.isfinite(before) & np.isfinite(now) if len(before) == len(now) else np.zeros(0, bool)
     if not both.any():
-        verdict = GONE if np.isfinite(before).any() else NEW
-        return Row(flight, estimator, figure, _mean(before), _mean(now), math.nan, math.nan, math.nan, verdict)
+        kind = GONE if np.isfinite(before).any() else NEW
+        return Row(flight, estimator, figure, _mean(before), _mean(now), math.nan, math.nan, math.nan, kind)
     a, b = before[both], now[both]
     tolerance = suite.tolerance.of(figure, float(a.mean()))
     low, high = interval(b - a)
@@ -452,8 +452,8 @@ def _row(suite: Suite, flight: str, estimator: str, figure: str, before: np.ndar
         worse, better = better, worse
     if (np.isfinite(before) & ~np.isfinite(now)).any():  # some seeds have no figure any more
         worse, better = True, False
-    verdict = WORSE if worse else BETTER if better else SAME
-    return Row(flight, estimator, figure, float(a.mean()), float(b.mean()), low, high, tolerance, verdict)
+    kind = WORSE if worse else BETTER if better else SAME
+    return Row(flight, estimator, figure, float(a.mean()), float(b.mean()), low, high, tolerance, kind)
 
 
 def _mean(values: np.ndarray) -> float:
@@ -464,7 +464,7 @@ def _mean(values: np.ndarray) -> float:
 # ----------------------------------------------------------------------------------------------- showing
 
 
-_HEADS = ("flight", "estimator", "phase.axis", "baseline", "now", "change", "95 %", "tolerance", "verdict")
+_HEADS = ("flight", "estimator", "phase.axis", "baseline", "now", "change", "95 %", "tolerance", "result")
 
 
 def _cells(row: Row) -> tuple[str, ...]:
@@ -475,7 +475,7 @@ def _cells(row: Row) -> tuple[str, ...]:
     change = "-" if math.isnan(row.change) else f"{row.change:+.3f}"
     return (
         row.flight, row.estimator, row.figure, number(row.before), number(row.now), change, span,
-        number(row.tolerance), row.verdict,
+        number(row.tolerance), row.result,
     )  # fmt: skip
 
 
@@ -484,8 +484,8 @@ def _collapsed(rows: Sequence[Row]) -> list[Row]:
     seen: set[tuple[str, str, str]] = set()
     kept = []
     for row in rows:
-        key = row.flight, row.estimator, row.verdict
-        if row.verdict in (NEW, GONE) and key in seen:
+        key = row.flight, row.estimator, row.result
+        if row.result in (NEW, GONE) and key in seen:
             continue
         seen.add(key)
         kept.append(row)
@@ -494,7 +494,7 @@ def _collapsed(rows: Sequence[Row]) -> list[Row]:
 
 def summary(result: Result) -> str:
     """One line: how many figures are the same, better, worse."""
-    count = Counter(row.verdict for row in result.rows)
+    count = Counter(row.result for row in result.rows)
     text = ", ".join(f"{count[v]} {v}" for v in (SAME, BETTER, WORSE, NEW, GONE) if count[v] or v in (SAME, WORSE))
     failed = f"; {len(result.errors)} flights failed" if result.errors else ""
     hint = (
@@ -506,16 +506,16 @@ def summary(result: Result) -> str:
 def table(result: Result, *, everything: bool = False) -> str:
     """For a reader: a line a flight and estimator, then the figures that have changed (or all)."""
     out = io.StringIO()
-    print(f"{'flight':18s}{'estimator':22s}{'tilt, deg':>20s}{'heading, deg':>22s}   verdict", file=out)
+    print(f"{'flight':18s}{'estimator':22s}{'tilt, deg':>20s}{'heading, deg':>22s}   result", file=out)
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in result.rows:
         groups.setdefault((row.flight, row.estimator), []).append(row)
     for (flight, estimator), rows in groups.items():
         figures = {row.figure: row for row in rows}
         tilt, heading = (_pair(figures.get(f"all.{axis}")) for axis in ("tilt", "heading"))
-        verdicts = {row.verdict for row in rows}
-        verdict = next(v for v in (WORSE, GONE, BETTER, NEW, SAME) if v in verdicts)
-        print(f"{flight:18s}{estimator:22s}{tilt:>20s}{heading:>22s}   {verdict}", file=out)
+        kinds = {row.result for row in rows}
+        kind = next(v for v in (WORSE, GONE, BETTER, NEW, SAME) if v in kinds)
+        print(f"{flight:18s}{estimator:22s}{tilt:>20s}{heading:>22s}   {kind}", file=out)
     shown = result.rows if everything else _collapsed(result.changed())
     if shown:
         lines = [_HEADS, *(_cells(row) for row in shown)]
@@ -544,8 +544,8 @@ def markdown(result: Result) -> str:
     if shown:
         lines += ["", f"| {' | '.join(_HEADS)} |", "|---|---|---|--:|--:|--:|--:|--:|---|"]
         for row in shown:
-            *cells, verdict = _cells(row)
-            lines.append(f"| {' | '.join(cells)} | {f'**{verdict}**' if verdict in (WORSE, GONE) else verdict} |")
+            *cells, kind = _cells(row)
+            lines.append(f"| {' | '.join(cells)} | {f'**{kind}**' if kind in (WORSE, GONE) else kind} |")
     lines += [f"- {where}: {error}" for where, error in result.errors.items()]
     return "\n".join(lines)
 
@@ -576,7 +576,7 @@ def junit(result: Result) -> str:
     failures = 0
     for (flight, estimator), rows in groups.items():
         case = Xml.SubElement(suite, "testcase", classname=flight, name=estimator)
-        bad = [row for row in rows if row.verdict in (WORSE, GONE)]
+        bad = [row for row in rows if row.result in (WORSE, GONE)]
         if bad:
             failures += 1
             failure = Xml.SubElement(case, "failure", message=f"{len(bad)} figures worse")

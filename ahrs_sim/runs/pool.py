@@ -128,7 +128,7 @@ class Pool:
 
 @contextlib.contextmanager
 def local_pool(workers: int | None = None) -> Iterator[Pool]:
-    """Persistent processes on this machine, one per processor unless told otherwise."""
+    """Persistent processes on this machine, one per processor by default."""
     count = workers or workers_here()
     context = multiprocessing.get_context("spawn")
     pool = Pool(lambda: futures.ProcessPoolExecutor(count, mp_context=context, initializer=_start), count)

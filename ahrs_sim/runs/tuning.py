@@ -1,7 +1,7 @@
 """`ahrs-sim campaign --tune`: settings of an estimator that minimise an error over a small campaign.
 
-The search sees the runs 0 to N-1; the verdict comes from N others that it has never seen, each flown with the settings
-as they were and as they are now, and is the mean difference with its bootstrap interval.
+The search sees the runs 0 to N-1. N others that it has never seen are flown with the settings as they were and as they
+are now; the result is the mean difference with its bootstrap interval.
 """
 
 import math
@@ -72,10 +72,10 @@ class Tuned:
     def text(self) -> str:
         """For a reader."""
         lines = [f"{key} = {value:.6g}" for key, value in self.settings.items()]
-        verdict = "better" if self.low > 0 else "worse" if self.high < 0 else "no difference that can be told"
+        outcome = "better" if self.low > 0 else "worse" if self.high < 0 else "no significant difference"
         lines.append(
             f"{self.metric}, {self.runs} held-out runs: {self.before:.4g} -> {self.after:.4g}, gain {self.gain:.4g} "
-            f"(95 %: {self.low:.4g} to {self.high:.4g}): {verdict}; {self.flights} flights"
+            f"(95 %: {self.low:.4g} to {self.high:.4g}): {outcome}; {self.flights} flights"
         )
         return "\n".join(lines)
 
@@ -92,7 +92,7 @@ def tune(
     """Search for the best settings.
 
     Args:
-        plan: its runs are what is flown for each trial, and as many after them for the verdict.
+        plan: its runs are what is flown for each trial, and as many after them for the comparison.
         knobs: what to turn, all of one estimator.
         metric: mean over the runs of this figure is minimised.
         pool: the workers.

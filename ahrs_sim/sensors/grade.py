@@ -3,7 +3,7 @@
 A grade is a TOML file in `grades/`:
 
     title = "CH Robotics CHR-6dm"
-    extends = "other"                                # optional: what is not said here is as there
+    extends = "other"                                # optional: what is not stated here is as there
 
     [gyro]
     noise_density_dps_rthz = {value = 0.03, source = "GP9 data sheet", mark = "quoted"}

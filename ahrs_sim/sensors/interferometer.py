@@ -30,7 +30,7 @@ LIGHT = 299792458.0  # m/s
 
 @dataclass(frozen=True)
 class PhaseFigures:
-    """An interferometer and the emitter that it listens to."""
+    """An interferometer and the emitter that it receives."""
 
     rate: float = figure("frequency", 2.0, minimum=0.01)
     latency: float = figure("time", minimum=0.0)

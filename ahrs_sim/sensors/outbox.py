@@ -1,4 +1,4 @@
-"""The line between an instrument and whoever listens: a message arrives some time after its stamp, in order."""
+"""The line from an instrument to its receiver: a message arrives some time after its stamp, in order."""
 
 import dataclasses
 from typing import Any

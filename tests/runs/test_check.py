@@ -60,8 +60,8 @@ def found(change: Callable[[Values], object] = lambda values: None) -> Found:
 
 
 def verdicts(suite: check.Suite, change: Callable[[Values], object]) -> dict[str, str]:
-    result = check.judge(suite, found(change))
-    return {row.figure: row.verdict for row in result.rows if row.estimator == "ekf"} | {"passed": str(result.passed)}
+    result = check.compare(suite, found(change))
+    return {row.figure: row.result for row in result.rows if row.estimator == "ekf"} | {"passed": str(result.passed)}
 
 
 def test_nothing_has_changed(suite: check.Suite) -> None:
@@ -95,10 +95,10 @@ def test_verdicts(suite: check.Suite, name: str, now: list[float], verdict: str)
 def test_an_estimator_that_is_gone_and_a_flight_that_failed(suite: check.Suite) -> None:
     less = found()
     del less.figures["sway"]["ckf"]
-    result = check.judge(suite, less)
+    result = check.compare(suite, less)
     assert not result.passed
-    assert {r.verdict for r in result.rows if r.estimator == "ckf"} == {"gone"}
-    failed = check.judge(suite, Found(found().figures, {"sway, seed 2": "crash"}))
+    assert {r.result for r in result.rows if r.estimator == "ckf"} == {"gone"}
+    failed = check.compare(suite, Found(found().figures, {"sway, seed 2": "crash"}))
     assert not failed.passed
     assert "crash" in check.table(failed)
     with pytest.raises(CheckError, match="not renewed: sway, seed 2: crash"):
@@ -115,14 +115,14 @@ def test_renewal_keeps_the_history(suite: check.Suite) -> None:
 
 
 def test_forms_of_the_result(suite: check.Suite) -> None:
-    result = check.judge(suite, found(lambda v: v.update({"all.tilt": [2.0, 2.1, 1.9]})))
+    result = check.compare(suite, found(lambda v: v.update({"all.tilt": [2.0, 2.1, 1.9]})))
     text, comment = check.table(result), check.markdown(result)
     assert "FAILED" in text
     assert "+1.000" in text
     assert "**worse**" in comment
     data = json.loads(json.dumps(check.as_json(result), allow_nan=False))
     assert not data["passed"]
-    (row,) = [r for r in data["rows"] if r["verdict"] == "worse"]
+    (row,) = [r for r in data["rows"] if r["result"] == "worse"]
     assert row["change"] == pytest.approx(1.0)
     xml = ElementTree.fromstring(check.junit(result))
     assert (xml.get("tests"), xml.get("failures")) == ("2", "1")
@@ -154,10 +154,10 @@ def test_bad_baselines(suite: check.Suite) -> None:
     for content in ("", "{}", "[1", '{"flights": 3, "history": []}'):
         suite.baseline.write_text(content)
         with pytest.raises(InputError, match="not a baseline"):
-            check.judge(suite, found())
+            check.compare(suite, found())
     suite.baseline.unlink()
     with pytest.raises(InputError, match="--renew --why"):
-        check.judge(suite, found())
+        check.compare(suite, found())
 
 
 def test_the_command_flies_renews_and_passes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -170,7 +170,7 @@ def test_the_command_flies_renews_and_passes(tmp_path: Path, capsys: pytest.Capt
     assert main(["check", str(path), "--json", "--junit", str(report), "--workers", "1"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["passed"]
-    assert {r["verdict"] for r in result["rows"]} == {"same"}
+    assert {r["result"] for r in result["rows"]} == {"same"}
     assert ElementTree.parse(report).getroot().get("failures") == "0"
 
 
@@ -247,6 +247,6 @@ def test_a_planted_fault_is_caught(tmp_path: Path, fault: str) -> None:
     done = _run(planted, suite, "--json", NUMBA_OPT="1")  # compiled once and used for minutes only
     assert done.returncode == 1, done.stdout + done.stderr
     rows = json.loads(done.stdout)["rows"]
-    caught = {r["estimator"] for r in rows if r["verdict"] in ("worse", "gone")}
+    caught = {r["estimator"] for r in rows if r["result"] in ("worse", "gone")}
     missed = {method for *_, method in FAULTS[fault]} - caught
     assert not missed, [(r["estimator"], r["figure"], r["before"], r["now"]) for r in rows if r["estimator"] in missed]

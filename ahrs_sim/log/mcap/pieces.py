@@ -410,7 +410,7 @@ def _zstd(data: memoryview, size: int) -> bytes:
     import zstandard
 
     try:
-        # An honest frame knows its size or has none; asked first, because it decides what is allocated.
+        # A valid frame knows its size or has none; asked first, because it decides what is allocated.
         if size == 0 or zstandard.frame_content_size(data) not in (size, -1):
             return b""
         return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)

@@ -54,7 +54,7 @@ _QUEUE = 8
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic as those are told who listen while a log is being written."""
+    """A topic as a listener to a log being written gets it."""
 
     number: int
     name: str
