@@ -45,10 +45,14 @@ def standing(grade: str, sensor: str, rate: float) -> tuple[TriadFigures, np.nda
     return figures, np.vstack(blocks)
 
 
+# Every grade at one rate, every rate with one grade: no code knows the two together, so that 15 of the 27 pairs find
+# what all would.
+PAIRS = [("chr_6dm", 50.0), ("chr_6dm", 100.0), ("chr_6dm", 400.0), ("sbg_ig500", 100.0), ("road_mems", 100.0)]
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("rate", [50.0, 100.0, 400.0])
 @pytest.mark.parametrize("sensor", list(SENSORS))
-@pytest.mark.parametrize("grade", ["chr_6dm", "sbg_ig500", "road_mems"])
+@pytest.mark.parametrize(("grade", "rate"), PAIRS)
 def test_six_hours_give_the_grade_back(grade: str, sensor: str, rate: float) -> None:
     figures, series = standing(grade, sensor, rate)
     table = allan_table(series, rate)
