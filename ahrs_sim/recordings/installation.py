@@ -30,7 +30,6 @@ _FLYING = 8.0  # m/s
 _STRAIGHT = math.radians(4.0)  # rad/s
 _LEVEL = 1.0  # m/s2 off gravity
 _LEVEL_ASSUMED = math.radians(0.5)  # how level, and how free of sideslip, straight flight is
-_ARM = 2.0  # m: lever arms are no longer
 _SIGNIFICANT = 3.0
 
 
@@ -79,10 +78,6 @@ def find(s: Survey, mag_b: np.ndarray, mapping: Map, gravity: float, dip: float 
     out = Installation()
     made = inertial.windows(s)
     track = inertial.track(s, gravity, lever=True, made=made) if made else None
-    if track is not None and track.lever_sigma.max() > SEEN_LEVER:
-        free, track = track, inertial.track(s, gravity, made=made, delay=track.delay)
-        if track is not None:
-            track = replace(track, lever_sigma=free.lever_sigma, delay_sigma=free.delay_sigma)
     _gnss(out, s, track, mapping)
     _magnetometer(out, s, made, mag_b, mapping, dip)
     _airspeed(out, s, track, mapping)
@@ -355,7 +350,7 @@ def air(s: Survey, track: Track) -> tuple[Estimate, Estimate] | None:
             wind + inverse @ (right - both @ step) for wind, (inverse, right, both) in zip(winds, steps, strict=True)
         ]
         noise = max(0.05, float(np.median(sizes)))
-    arm = min(_ARM, float(track.lever_sigma.max())) if track.lever_sigma.max() > 0.0 else _ARM
+    arm = float(track.lever_sigma.max())
     turning = np.sqrt(np.mean(np.sum(w.between(w.rate_b, t) ** 2, axis=1)))  # the antenna's own speed
     sigma = np.hypot(groups.sigma(x - [0.0, 1.0], prior), [5e-3, 1e-3 + arm * turning / float(np.median(speed))])
     return (
@@ -376,10 +371,8 @@ def boresight(s: Survey, track: Track) -> tuple[Estimate, Estimate, Estimate] | 
     if len(rows) < 100:
         return None
     C = track.attitude(rows)
-    down_b = C[:, 2, :]
-    turn = np.sum(down_b * (s.gyro_b[rows] - track.gyro_bias), axis=1)
-    bank = np.arctan(np.linalg.norm(vel_n[rows], axis=1) * turn / track.gravity)  # of what turning is left
-    roll = np.arctan2(down_b[:, 1], down_b[:, 2]) - bank
+    force = s.accel_b[rows] - track.accel_bias  # without sideslip it has no part to the side of the aircraft
+    roll = np.arctan2(-force[:, 1], -force[:, 2])
     spell = np.floor(s.t[rows] / _WIND_S).astype(int)
     speed = np.interp(s.t[rows], s.t_air, s.airspeed) if len(s.t_air) > 10 else np.full(len(rows), math.nan)
     x, noise, groups = np.zeros(2), 1.0, Groups(2)  # sideways and downward part of a unit vector along the velocity
