@@ -14,11 +14,11 @@ from ahrs_sim.flight.fdm import Fdm, indexed
 from ahrs_sim.flight.tunnel import CONTROLS, G, Point, Trim, Tunnel
 
 TOLERANCE = 0.05  # m/s2: a trim is one
-SPEEDS = 7
+SPEEDS = 8
 STEEPEST = math.radians(25.0)  # angle of attack beyond which nothing is flown, stalled or not
 BANKS = tuple(math.radians(x) for x in (30.0, 45.0, 60.0, 70.0, 75.0, 78.5, 80.0))
 LIGHT = 0.2  # share of the fuel with which the margins are looked at again
-FASTEST = 3.2  # times the stall, and
+FASTEST = 4.0  # times the stall, and
 MACH = 0.85  # beyond which no speed is scheduled
 SINKING = math.radians(-14.0)  # the steepest glide that is scheduled
 

@@ -18,7 +18,8 @@ class State:
     """What the pilot knows at one moment; SI, radians. Position is relative to where the flight started."""
 
     __slots__ = (
-        "airspeed", "altitude", "climb", "course", "east", "ground_speed", "heading", "height", "home_heading", "north",
+        "airspeed", "altitude", "climb", "course", "east", "ground_speed", "heading", "height", "home_heading", "load",
+        "north",
         "on_ground", "pitch", "pitched", "q", "roll", "rolled", "t", "turned",
     )  # fmt: skip
 
@@ -31,6 +32,7 @@ class State:
     ground_speed: float  # m/s
     course: float  # of the ground track
     airspeed: float  # m/s, true
+    load: float  # specific force upwards along the body, in g
     roll: float
     pitch: float
     heading: float

@@ -11,13 +11,13 @@ TRAINER_FASTEST = 60.0  # m/s
 TRAINER_BANK = math.radians(75.0)
 
 
-def check(steps: Sequence[Manoeuvre], design: Design | None, airspeed: float | None = None) -> None:
+def check(steps: Sequence[Manoeuvre], design: Design | None, airspeed: float) -> None:
     """Look at the steps in order, with the airspeed that each will have.
 
     Args:
         steps: of a scenario.
         design: of the aircraft; None: it is our trainer.
-        airspeed: m/s, at the start; None: cruise.
+        airspeed: m/s, at the start; 0: on the ground, whence it goes on to cruise.
 
     Raises:
         InputError: a step that the aircraft cannot fly, and what it could.

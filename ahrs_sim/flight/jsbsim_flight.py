@@ -104,7 +104,7 @@ class JsbsimFlight:
         self._gusts = list(scenario.wind.gusts)
         self._get = [_reader(fdm, column) for column in Column]
         self._contacts = _contacts(fdm)
-        self._pilot = Pilot(fdm, steps, scenario.start, self.dt * self._every, self._design)
+        self._pilot = Pilot(fdm, steps, scenario.start, self.dt * self._every, self._design, self._airspeed)
         self._control_every = max(1, round(scenario.rate / RATE)) if self._design else 0
         if scenario.pilot_attitude != "truth" and self._pilot.autopilot is None:
             model = fdm.exec.get_model_name()

@@ -98,7 +98,7 @@ class DesignedAutopilot(Autopilot):
         self.approach_distance = 60.0 * design.approach
         self.climb_limit = clip(0.5 * design.at(design.cruise, lambda row: row.climb), 0.7, 0.05 * design.cruise)
         self.climb_speed = self.climb_limit
-        self.steering = 0.15 * min(row.bank_gain for row in design.rows)
+        self.steering = 0.2 * design.at(design.approach, lambda row: row.bank_gain)
         self.estimate: Body | None = None
         self._ground = ground + design.standing
         names = (
@@ -136,7 +136,7 @@ class DesignedAutopilot(Autopilot):
         self._qbars = [row.qbar for row in design.rows]
         self._tables = np.array([np.hstack(_numbers(row)) for row in design.rows])
         self._greatest = max(row.alpha for row in design.rows) + STALL_GUARD
-        self._thrust = max(design.at(design.cruise, lambda row: row.thrust), 0.1)
+        self._least_thrust = max(0.4 * float(np.mean([row.thrust for row in design.rows])), 0.1)
         self.roll_rate_limit = self._roll_limit(self._schedule(design.at(design.cruise, lambda row: row.qbar)))
         self._running = False
         self._roll_integral = self._side_integral = self._pitch_integral = self._heading_integral = 0.0
@@ -292,6 +292,7 @@ class DesignedAutopilot(Autopilot):
         if self._down:
             target = max(self.design.ground_pitch, body.pitch - 0.05)
         elif phase == 1:
+            self._climb_integral = 0.0
             target = self._takeoff_pitch(air)
         elif v["vertical-mode"] == 1 and phase == 0:
             target = v["pitch-cmd-rad"]
@@ -333,7 +334,7 @@ class DesignedAutopilot(Autopilot):
                 self._climb_integral + dt * 0.15 * now.pitch_gain * error / air.true, -0.12, 0.12
             )
             base = math.asin(clip(wanted / air.true, -0.5, 0.5)) + 0.6 * error / air.true
-        if v["vertical-mode"] == 1:
+        if v["vertical-mode"] == 1 or air.on_ground:
             self._climb_integral = 0.0
         return clip(base + turning.alpha * math.cos(body.roll) + self._climb_integral, -0.5, 0.5)
 
@@ -366,20 +367,21 @@ class DesignedAutopilot(Autopilot):
         if not self.design.engines or v["motor-on"] < 0.5:
             return 0.0
         if phase == 1:
+            self._speed_integral = 0.0
             return min(1.0, self.throttle_now + 0.25 * dt)
         if self._flare or self._down:
             return max(0.0, self.throttle_now - 0.5 * dt)
         wanted = v["airspeed-cmd-mps"]
-        forward = self.design.at(wanted, lambda row: row.throttle) + air.climb / air.true * G / self._thrust
+        thrust = max(self.design.at(wanted, lambda row: row.thrust), self._least_thrust)
+        forward = self.design.at(wanted, lambda row: row.throttle) + air.climb / air.true * G / thrust
         if v["throttle-mode"] == 0 and phase == 0:
-            self._speed_integral = clip(v["throttle-cmd-norm"] - forward, -0.5, 0.5)
+            self._speed_integral = 0.0
             return clip(v["throttle-cmd-norm"], 0.0, 1.0)
-        bandwidth = clip(0.25 / self.design.throttle_lag, 0.06, 0.25)
-        gain = bandwidth / self._thrust
-        error = clip(wanted - air.calibrated, -0.08 * air.true, 0.08 * air.true)
-        throttle = forward + gain * error + self._speed_integral
-        if 0.0 < throttle < 1.0 or (throttle - 0.5) * error < 0.0:
-            self._speed_integral = clip(self._speed_integral + dt * 0.2 * bandwidth * gain * error, -0.8, 0.8)
+        bandwidth = clip(0.35 / self.design.throttle_lag, 0.1, 0.3)
+        error = clip(wanted - air.calibrated, -0.3 * air.true, 0.3 * air.true)
+        throttle = forward + bandwidth / thrust * error + self._speed_integral
+        if abs(error) < 0.06 * air.true and (0.0 < throttle < 1.0 or (throttle - 0.5) * error < 0.0):
+            self._speed_integral = clip(self._speed_integral + dt * 0.2 * bandwidth**2 / thrust * error, -0.8, 0.8)
         return clip(throttle, 0.0, 1.0)
 
 

@@ -21,6 +21,8 @@ from ahrs_sim.scenario import Start
 from ahrs_sim.world import wgs84
 from estimators import rotations
 
+G = 9.80665  # m/s2
+
 
 def own_autopilot(fdm: Fdm) -> bool:
     """Whether the aircraft's XML holds an autopilot with our set-points."""
@@ -36,13 +38,20 @@ class Pilot:
         start: where the flight begins: ground and heading are the runway's.
         dt: s between ticks.
         design: of an aircraft that has no autopilot of its own; None: it has, or nobody flies it.
+        airspeed: m/s, calibrated, at the start in the air.
 
     Raises:
         InputError: a step asks for what the aircraft cannot do, or names an unknown property.
     """
 
     def __init__(
-        self, fdm: Fdm, steps: Sequence[Manoeuvre], start: Start, dt: float, design: Design | None = None
+        self,
+        fdm: Fdm,
+        steps: Sequence[Manoeuvre],
+        start: Start,
+        dt: float,
+        design: Design | None = None,
+        airspeed: float = 0.0,
     ) -> None:
         self._steps = list(steps)
         self._dt = dt
@@ -59,7 +68,7 @@ class Pilot:
             step.bind(fdm)
         if self.autopilot is not None:
             self.autopilot.handed_over = not any(isinstance(step, HandOver) for step in self._steps)
-            check(self._steps, design)
+            check(self._steps, design, airspeed)
         euler = ("phi-rad", "theta-rad", "psi-rad")
         rates = ("p-rad_sec", "q-rad_sec", "r-rad_sec")
         surfaces = ("aileron", "elevator", "rudder", "throttle")
@@ -205,6 +214,7 @@ class Pilot:
         state.course = math.atan2(row[Column.VEL_EAST], row[Column.VEL_NORTH])
         state.climb = -row[Column.VEL_DOWN] * FT
         state.airspeed = row[Column.AIRSPEED] * FT
+        state.load = -row[Column.FORCE_Z] / row[Column.MASS] * FT / G
         state.on_ground = row[Column.WHEELS] > 0.0
         before = state.heading
         state.roll, state.pitch, state.heading, p, state.q, _ = self._body()

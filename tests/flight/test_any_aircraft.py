@@ -100,7 +100,7 @@ def test_it_flies_on_an_estimate():
     flight = open_flight(make(aircraft="c172p", step=[{"do": "turn", "bank_deg": 20.0, "for_s": 30.0}], start=AIR))
     off = math.radians(5.0) / 2.0
     last = None
-    while len(rows := flight.process(8)):
+    while len(rows := flight.fly(8)):
         a, b, c, d = rows.q_nb[-1]
         cos, sin = math.cos(off), math.sin(off)
         flight.feedback(

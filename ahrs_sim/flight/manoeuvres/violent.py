@@ -5,25 +5,36 @@
 import math
 
 from ahrs_sim.flight.autopilot import Autopilot, State
-from ahrs_sim.flight.manoeuvres.base import FASTEST, Manoeuvre, clamp
+from ahrs_sim.flight.manoeuvres.base import FASTEST, G, Manoeuvre, clamp, optional
 from ahrs_sim.scenario.table import Table
 
 
 class WindupTurn(Manoeuvre):
     """Turn that tightens from level to `bank_deg` (60) at `rate_dps` (4) of bank, held for `hold_s` (3) at the end.
 
-    A negative bank turns left.
+    A negative bank turns left. With `load_g` instead, the bank is that of a level turn with this load factor, and the
+    elevator holds the load factor, not the height; `left` turns left.
     """
 
     name = "windup_turn"
     steady = False
 
     def read(self, table: Table) -> None:
-        self.bank = math.radians(table.number("bank_deg", 60.0, minimum=-80.0, maximum=80.0))
+        bank = optional(table, "bank_deg", minimum=-80.0, maximum=80.0)
+        load = optional(table, "load_g", minimum=1.1, maximum=9.0)
+        left = table.flag("left", False)
         self.rate = math.radians(table.number("rate_dps", 4.0, above=0.0))
         self.hold = table.number("hold_s", 3.0, minimum=0.0)
-        if self.bank == 0.0:
+        if bank is not None and load is not None:
+            raise table.error("load_g", "bank_deg and load_g exclude each other; keep one of them")
+        if bank == 0.0:
             raise table.error("bank_deg", "wings level is no turn; give it a value")
+        if left and load is None:
+            raise table.error("left", "belongs to load_g; give bank_deg a sign instead")
+        self.loaded = load is not None
+        self.bank = math.radians(60.0 if bank is None else bank)
+        if load is not None:
+            self.bank = math.copysign(math.acos(1.0 / load), -1.0 if left else 1.0)
 
     def expected(self) -> float:
         return abs(self.bank) / self.rate + self.hold
@@ -35,14 +46,23 @@ class WindupTurn(Manoeuvre):
         self.take_airspeed(ap)
         ap.level()
         self.started = state.t
+        self.missing = 0.0  # g, integral of what the load factor lacks
 
     def step(self, ap: Autopilot, state: State) -> bool:
         elapsed = state.t - self.started
         if elapsed >= self.expected():
             ap.heading_goal = state.heading
+            if self.loaded:
+                ap.cruise()
             ap.heading(ap.heading_goal)
             return True
-        ap.roll(math.copysign(min(abs(self.bank), self.rate * elapsed), self.bank))
+        bank = min(abs(self.bank), self.rate * elapsed)
+        ap.roll(math.copysign(bank, self.bank))
+        if self.loaded and bank > 0.5:
+            load = 1.0 / math.cos(bank)
+            self.missing = clamp(self.missing + 0.02 * (load - state.load), 1.0)
+            pull = load + self.missing - math.cos(state.pitch) * math.cos(state.roll)
+            ap.pitch_rate(G / max(state.airspeed, 10.0) * pull)
         return False
 
 

@@ -1,0 +1,192 @@
+"""Fly every aircraft of JSBSim with the one autopilot and write what it did: `python docs/aircraft.py`.
+
+With names it flies those and only prints. Half a minute an aircraft and core.
+"""
+
+import math
+import multiprocessing
+import os
+import re
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ahrs_sim import scenario as scenarios
+from ahrs_sim.errors import InputError
+from ahrs_sim.flight import Truth, open_flight
+from ahrs_sim.flight.design import Design, design
+from ahrs_sim.flight.fdm import aircraft
+from ahrs_sim.scenario.shipped import scenario_dir
+
+PAGE = Path(__file__).with_suffix(".md")
+HEIGHT = 2000.0  # m, of the turns
+BANK = 30.0  # deg
+TURN = 60.0  # s, each way
+ENTRY = 20.0  # s, after which a turn is steady
+LOAD = 5.0  # g, of the wind-up turn
+STRONG = 25.0  # m/s of climb at cruise, of an aircraft that is asked to pull as much
+LIMITS = (3.0, 30.0, 5.0)  # deg, m, %
+
+
+def fly(data: dict[str, Any]) -> tuple[Truth, list[Any], str | None]:
+    """Fly a scenario; truth, events and what ended it early."""
+    flight = open_flight(scenarios.parse({"seed": 1, **data}, "docs/aircraft.py", "aircraft"))
+    blocks, events = [], []
+    while len(rows := flight.fly(2000)):
+        blocks.append(rows)
+        flight.take_setpoints()
+        events += flight.take_events()
+    return Truth.concatenate(blocks), events + flight.take_events(), flight.error
+
+
+def roll_deg(truth: Truth) -> np.ndarray:
+    """Bank angle, (n,) deg."""
+    a, b, c, d = truth.q_nb.T
+    return np.degrees(np.arctan2(2 * (a * b + c * d), 1 - 2 * (b * b + c * c)))
+
+
+def turns(name: str, known: Design) -> dict[str, Any]:
+    """Turn both ways; the worst of bank (deg), height (m) and airspeed (%) once the turn is steady."""
+    steps: list[dict[str, Any]] = [{"do": "straight", "for_s": 10.0}]
+    steps += [{"do": "turn", "bank_deg": sign * BANK, "for_s": TURN} for sign in (1.0, -1.0)]
+    truth, events, error = fly({"aircraft": name, "start": {"on_ground": False, "height_m": HEIGHT}, "step": steps})
+    if error:
+        return {"error": error}
+    roll = roll_deg(truth)
+    begin = [event.t for event in events if event.text.endswith("(turn) begins")]
+    steady = [(truth.t > t + ENTRY) & (truth.t < t + TURN - 0.1) for t in begin]
+    off = [np.abs(roll[rows] - sign * BANK).max() for rows, sign in zip(steady, (1.0, -1.0), strict=True)]
+    both = steady[0] | steady[1]
+    calibrated = truth.airspeed[both] / truth.airspeed[0]
+    if not known.powered:  # what it does hold on the way down is the calibrated airspeed
+        calibrated = calibrated * np.sqrt(truth.pressure[both] / truth.pressure[0])
+    return {
+        "bank": max(off),
+        "height": np.abs(truth.height_agl[both] - HEIGHT).max() if known.powered else math.nan,
+        "speed": 100.0 * np.abs(calibrated - 1.0).max(),
+        "sink": float(truth.vel_n[both, 2].mean()),
+    }
+
+
+def circuit(name: str) -> dict[str, Any]:
+    """Fly the scenario `airfield`; how it took off and touched down."""
+    data = tomllib.loads((scenario_dir() / "airfield.toml").read_text(encoding="utf-8"))
+    truth, _, error = fly(data | {"aircraft": name})
+    if error:
+        return {"error": error}
+    off = int(np.flatnonzero(~truth.on_ground)[0])
+    down = int(np.flatnonzero(~truth.on_ground)[-1])
+    return {"off": truth.airspeed[off], "down": truth.airspeed[down], "sink": truth.vel_n[down, 2]}
+
+
+def windup(name: str, known: Design) -> dict[str, Any]:
+    """Tighten a turn to `LOAD`, where the wing carries it; the load factor that was reached."""
+    bank = math.acos(1.0 / LOAD)
+    speed = 0.95 * known.fastest
+    climbs = known.at(known.cruise, lambda row: row.climb)
+    if known.bank_limit(speed, steady=False) < bank or climbs < STRONG:
+        return {}
+    step = {"do": "windup_turn", "load_g": LOAD, "rate_dps": 6.0, "hold_s": 4.0}
+    start = {"on_ground": False, "height_m": 3000.0, "airspeed_mps": speed}
+    truth, _, error = fly({"aircraft": name, "start": start, "step": [step]})
+    loads = np.linalg.norm(truth.accel_b, axis=1) / 9.80665
+    return {"error": error} if error else {"load": float(np.percentile(loads, 98.0)), "from": speed}
+
+
+def report(name: str) -> dict[str, Any]:
+    """All that is found and flown of an aircraft."""
+    os.nice(5)
+    row: dict[str, Any] = {"name": name}
+    try:
+        known = design(name, "docs/aircraft.py")
+    except InputError as error:
+        return row | {"refused": re.sub(r".*autopilot: (.*?); take another.*|.*JSBSim cannot load", r"\1", str(error))}
+    row["design"] = known
+    flights = {"turns": lambda: turns(name, known), "circuit": lambda: circuit(name)}
+    for what, run in {**flights, "windup": lambda: windup(name, known)}.items():
+        try:
+            row[what] = run()
+        except InputError as error:
+            row[what] = {"error": re.sub(r"^docs/aircraft.py: (\[\[step\]\] \d+: do: )?", "", str(error))}
+    return row
+
+
+def turned(row: dict[str, Any]) -> bool:
+    """Whether the turns were held within the limits; a glider has no height to hold."""
+    found = row.get("turns", {})
+    values = [found.get(x, math.inf) for x in ("bank", "height", "speed")]
+    return all(value <= limit or math.isnan(value) for value, limit in zip(values, LIMITS, strict=True))
+
+
+def line(row: dict[str, Any]) -> str:
+    """A row of the table."""
+    known: Design = row["design"]
+    found, round_, up = row["turns"], row["circuit"], row["windup"]
+    cells = [row["name"], f"{known.mass:.0f}", f"{known.engines if known.powered else 'glides'}"]
+    cells += [f"{x:.0f}" for x in (known.stall, known.cruise, known.fastest)]
+    if "error" in found:
+        cells += ["no", "", ""]
+    else:
+        height = f"{found['height']:.1f}" if known.powered else f"sinks {found['sink']:.1f} m/s"
+        cells += [f"{found['bank']:.1f}", height, f"{found['speed']:.1f}"]
+    cells += ["no"] if "error" in round_ else [f"{round_['off']:.0f}, {round_['down']:.0f}, {round_['sink']:.1f}"]
+    cells += [f"{up['load']:.1f}" if "load" in up else "no" if "error" in up else ""]
+    return "| " + " | ".join(cells) + " |"
+
+
+def reasons(row: dict[str, Any]) -> list[str]:
+    """What an aircraft did not do, and why."""
+    out = [f"{what}: {row[what]['error']}" for what in ("turns", "circuit", "windup") if row[what].get("error")]
+    if not turned(row) and "error" not in row["turns"]:
+        out.append("turns: not within the limits")
+    return out
+
+
+def page(rows: list[dict[str, Any]]) -> str:
+    """The page."""
+    flown = [row for row in rows if "design" in row]
+    table = [
+        "| aircraft | kg | engines | stall | cruise | fastest | bank, deg | height, m | speed, % | circuit | load, g |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+        *(line(row) for row in flown),
+    ]
+    powered = sum(turned(row) and row["design"].powered for row in flown)
+    gliders = sum(turned(row) and not row["design"].powered for row in flown)
+    landed = sum("error" not in row["circuit"] for row in flown)
+    pulled = [row["name"] for row in flown if row["windup"].get("load", 0.0) >= LOAD - 0.3]
+    counts = (
+        f"{powered} aircraft with thrust and {gliders} without hold the turns within {LIMITS[0]:.0f} deg, "
+        f"{LIMITS[1]:.0f} m and {LIMITS[2]:.0f} %; {landed} fly the circuit from take-off to standstill; "
+        f"{len(pulled)} reach {LOAD:.0f} g in a wind-up turn."
+    )
+    missing = [f"* **{row['name']}**: {reason}." for row in flown for reason in reasons(row)]
+    refused = [f"* **{row['name']}**: {row['refused'].strip().rstrip('.')}." for row in rows if "refused" in row]
+    text = PAGE.read_text(encoding="utf-8")
+    for mark, lines in (("flown", [counts, "", *table]), ("not flown", [*missing]), ("refused", [*refused])):
+        text = re.sub(
+            rf"(<!-- {mark} -->\n).*?(<!-- end {mark} -->)",
+            lambda m, lines=lines: m[1] + "\n".join(lines) + "\n" + m[2],
+            text,
+            flags=re.DOTALL,
+        )
+    return text
+
+
+def main() -> None:
+    """Fly them."""
+    names = sys.argv[1:] or [name for name in aircraft() if name != "trainer"]
+    with multiprocessing.get_context("spawn").Pool(2, maxtasksperchild=1) as pool:
+        rows = []
+        for row in pool.imap(report, names):
+            rows.append(row)
+            text = [line(row), *reasons(row)] if "design" in row else [f"{row['name']}: {row['refused']}"]
+            print("\n    ".join(text), flush=True)
+    if not sys.argv[1:]:
+        PAGE.write_text(page(rows), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
