@@ -18,9 +18,8 @@ class State:
     """What the pilot knows at one moment; SI, radians. Position is relative to where the flight started."""
 
     __slots__ = (
-        "airspeed", "altitude", "climb", "course", "east", "ground_speed", "heading", "height", "home_heading", "load",
-        "north",
-        "on_ground", "pitch", "pitched", "q", "roll", "rolled", "t", "turned",
+        "airspeed", "altitude", "climb", "course", "east", "ground_speed", "heading", "height", "home", "home_heading",
+        "load", "north", "on_ground", "pitch", "pitched", "q", "roll", "rolled", "t", "turned",
     )  # fmt: skip
 
     t: float  # s
@@ -41,6 +40,7 @@ class State:
     turned: float  # heading without jumps: change since the flight began
     rolled: float  # integral of the roll rate
     pitched: float  # integral of the pitch rate: a loop is 2 pi
+    home: tuple[float, float, float, float]  # latitude and longitude of the start, m per radian of each there
     home_heading: float  # of the runway: the heading at the start
 
 
@@ -62,7 +62,9 @@ class Autopilot:
     landing_glide = math.radians(4.0)
     scale = 1.0  # of distances and heights near the runway
     steering = 0.6  # 1/s, turn rate per error of the ground track
+    line_distance = 25.0  # m beside the runway's line, where it is steered to at half of the steepest angle
     height_before = 12.0  # m, at which an approach ends
+    speeds = (16.0, 26.0)  # m/s, between which it flies any manoeuvre
 
     def __init__(self, fdm: Fdm) -> None:
         self._fdm = fdm
@@ -84,6 +86,10 @@ class Autopilot:
     def get(self, name: str) -> float:
         """Read `ap/name`; for rare use."""
         return self._fdm[f"ap/{name}"]
+
+    def steepest(self, airspeed: float) -> float:
+        """Steepest bank that is held at an airspeed, rad."""
+        return math.acos(min(1.0, (13.0 / airspeed) ** 2))
 
     def roll(self, angle: float) -> None:
         """Hold a bank angle."""

@@ -211,9 +211,12 @@ class Fdm:
 
 
 def configure(fdm: Fdm, throttle: float, gear: float) -> None:
-    """Set what a pilot sets once: rich mixture, fine pitch, magnetos on, wheels up or down, everything else clean."""
+    """Set what a pilot sets once: rich mixture, fine pitch, wheels up or down, everything else clean; burn no fuel."""
     for name in ("gear/gear-cmd-norm", "gear/gear-pos-norm"):
         write(fdm, name, gear)
+    write(
+        fdm, "propulsion/fuel_freeze", 1.0
+    )  # some models' feeding tanks are filled by the simulator they were made for
     for i in range(engines(fdm)):
         write(fdm, indexed("fcs/mixture-cmd-norm", i), 1.0)
         write(fdm, indexed("fcs/advance-cmd-norm", i), 1.0)

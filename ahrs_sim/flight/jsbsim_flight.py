@@ -65,7 +65,7 @@ class JsbsimFlight:
         self.dt = 1.0 / scenario.rate
         if scenario.pilot_attitude != "truth" and scenario.script is not None:
             raise InputError(f"{scenario.where}: [pilot]: attitude: a script flies without our autopilot; leave it out")
-        steps = parse_steps(scenario.steps)  # before JSBSim starts: bad input is the cheapest error
+        steps = parse_steps(scenario.steps, scenario.seed)  # before JSBSim starts: bad input is the cheapest error
         _check_gusts(scenario)
         self._events: list[Event] = []
         self._before: np.ndarray | None = None  # the row before, for a script that jumps

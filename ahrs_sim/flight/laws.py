@@ -94,11 +94,11 @@ class DesignedAutopilot(Autopilot):
         self.airspeed_goal = design.cruise
         self.approach_speed, self.landing_speed = design.approach, 1.25 * design.stall
         self.approach_glide = self.landing_glide = math.radians(3.0)
+        self.speeds = (1.4 * design.stall, max(0.9 * design.fastest, 1.5 * design.stall))
         self.scale = design.approach / Autopilot.approach_speed
         self.approach_distance = 60.0 * design.approach
         self.climb_limit = clip(0.5 * design.at(design.cruise, lambda row: row.climb), 0.7, 0.05 * design.cruise)
         self.climb_speed = self.climb_limit
-        self.steering = 0.2 * design.at(design.approach, lambda row: row.bank_gain)
         self.estimate: Body | None = None
         self._ground = ground + design.standing
         names = (
@@ -138,6 +138,10 @@ class DesignedAutopilot(Autopilot):
         self._greatest = max(row.alpha for row in design.rows) + STALL_GUARD
         self._least_thrust = max(0.4 * float(np.mean([row.thrust for row in design.rows])), 0.1)
         self.roll_rate_limit = self._roll_limit(self._schedule(design.at(design.cruise, lambda row: row.qbar)))
+        # the ground track is steered no faster than the aircraft rolls into a turn of 30 deg and out of it
+        agile = self.roll_rate_limit / math.radians(60.0)
+        self.steering = min(0.2 * design.at(design.approach, lambda row: row.bank_gain), agile)
+        self.line_distance = 1.4 * design.approach / self.steering
         self._running = False
         self._roll_integral = self._side_integral = self._pitch_integral = self._heading_integral = 0.0
         self._climb_integral = self._speed_integral = 0.0
@@ -157,6 +161,10 @@ class DesignedAutopilot(Autopilot):
     def get(self, name: str) -> float:
         """Read a set-point."""
         return self.values[name]
+
+    def steepest(self, airspeed: float) -> float:
+        """Steepest bank that is held at an airspeed, rad."""
+        return self.design.bank_limit(airspeed)
 
     # -- the loops
 

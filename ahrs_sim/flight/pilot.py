@@ -203,6 +203,7 @@ class Pilot:
         if self._origin is None:
             meridian, prime = wgs84.radii(np.array(latitude))
             self._origin = (latitude, longitude, float(meridian), float(prime) * math.cos(latitude))
+            state.home = self._origin
             state.heading = self._body()[2]
         lat, lon, per_lat, per_lon = self._origin
         state.t = t

@@ -66,6 +66,8 @@ def test_bad_steps_are_refused(table, message):
 
 def test_every_manoeuvre_has_a_time_out_and_a_duration():
     least = {"wait": {"for_s": 1.0}, "climb": {"to_height_m": 50.0}, "descend": {"to_height_m": 50.0}}
+    least |= {"goto": {"north_m": 1.0, "east_m": 1.0}, "random": {"for_s": 60.0}}
+    least |= {"survey": {"length_m": 500.0, "spacing_m": 50.0}}
     least |= {"doublet": {"surface": "rudder"}, "set": {"property": "x", "value": 1.0}}
     for name in MANOEUVRES:
         (step,) = parse_steps(steps({"do": name, **least.get(name, {})}))

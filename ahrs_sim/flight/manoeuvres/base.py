@@ -3,6 +3,8 @@
 import math
 from typing import ClassVar
 
+import numpy as np
+
 from ahrs_sim.flight.autopilot import Autopilot, State, wrap
 from ahrs_sim.flight.fdm import Fdm
 from ahrs_sim.scenario.table import Table
@@ -45,6 +47,8 @@ class Manoeuvre:
     needs_autopilot: ClassVar[bool] = True
     in_flight: ClassVar[bool] = True
     steady: ClassVar[bool] = True  # what bank it needs it needs for long: the thrust has to hold it
+
+    random: np.random.Generator  # of its own, from the scenario's seed
 
     def __init__(self, table: Table) -> None:
         """Read the parameters.

@@ -24,7 +24,7 @@ class Takeoff(Manoeuvre):
         return 10.0 + self.height / 4.0
 
     def begin(self, ap: Autopilot, state: State) -> None:
-        if not state.on_ground:
+        if not state.on_ground and state.height > 3.0 * ap.scale:  # a light one hops on its wheels
             raise Failure("the aircraft is in the air already; leave this step out")
         self.take_airspeed(ap)
         self.height = self.given or 30.0 * ap.scale
@@ -206,4 +206,4 @@ def runway(state: State) -> tuple[float, float]:
 
 def runway_course(ap: Autopilot, state: State, cross: float) -> float:
     """Course that leads onto the runway's line and along it."""
-    return state.home_heading - math.radians(50.0) * 2.0 / math.pi * math.atan(cross / (25.0 * ap.scale))
+    return state.home_heading - math.radians(50.0) * 2.0 / math.pi * math.atan(cross / ap.line_distance)
