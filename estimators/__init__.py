@@ -10,19 +10,29 @@ body into navigation vectors, scalar first, Hamilton; `C_bn` maps navigation to 
 at rest is `C_bn (0, 0, -g)`; true heading; SI and radians; missing is NaN.
 
 Layers: `rotations` and `linalg` (one equation per kernel), `filters` (how to estimate), `models` (what to estimate),
-`run` (the loop over rows), `alignment`, `catalogue` (named combinations). Importing this package compiles nothing.
+`adaptation` (how far to trust a measurement), `run` (the loop over rows), `alignment`, `catalogue` (named
+combinations); `native` compiles kernels and lets them call each other. Importing this package compiles nothing.
+
+References, by the names that comments use:
+
+    Han 2013        Han, Gan, He and Alazard: aircraft attitude estimation method based on CKF (in Chinese)
+    Zhao 2015       Zhao, Jia, Jin, Tian and Xiong: attitude estimation by UKF for satcom-on-the-move
+    Tian 2011       Tian, Sun, Li and Yan: algorithm for the adaptive Kalman filter in AHRS (in Chinese)
+    Yao 2012        Yao: attitude estimation based on switched extended Kalman filter (in Chinese)
+    Baseline 2021   locating with a single-baseline interferometer and multiple bearing hypotheses (in Chinese; 2021 is
+                    the year of the copy, which names no authors)
 """
 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from estimators.catalogue import create, describe, names
+    from estimators.catalogue import create, describe, names, prepare
     from estimators.errors import EstimationError, SampleError, SettingError
     from estimators.estimator import Estimator
     from estimators.types import Estimates, Samples, SensorInfo, Site, Status
 
 _HOME = {
-    "create": "catalogue", "describe": "catalogue", "names": "catalogue",
+    "create": "catalogue", "describe": "catalogue", "names": "catalogue", "prepare": "catalogue",
     "EstimationError": "errors", "SampleError": "errors", "SettingError": "errors",
     "Estimator": "estimator",
     "Estimates": "types", "Samples": "types", "SensorInfo": "types", "Site": "types", "Status": "types",
@@ -30,7 +40,7 @@ _HOME = {
 
 __all__ = [
     "EstimationError", "Estimates", "Estimator", "SampleError", "Samples", "SensorInfo", "SettingError", "Site",
-    "Status", "create", "describe", "names",
+    "Status", "create", "describe", "names", "prepare",
 ]  # fmt: skip
 
 

@@ -11,7 +11,7 @@ check (`ahrs_sim.scenario.code` does so for the whole test bench).
 
 import importlib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from importlib import metadata
@@ -66,15 +66,17 @@ def _module(kind: str, name: str) -> Any:
     return importlib.import_module(f"estimators.{kind}.{name}")
 
 
-FILTERS = ("ekf", "ckf", "cdkf", "ukf", "srckf", "srcdkf", "srukf")
+FILTERS = ("ekf", "iekf", "ckf", "cdkf", "ukf", "srckf", "srcdkf", "srukf")
 _HAN = "Han, Gan, He and Alazard 2013"
 _ZHAO = "Zhao, Jia, Jin, Tian and Xiong 2015"
 _TIAN = "Tian, Sun, Li and Yan 2011"
 _YAO = "Yao 2012"
+_BELL = "Bell and Cathey 1993"
 _OWN = "beyond the papers"
 
 _METHODS = (
     Method("marg-ekf", "Extended Kalman filter on quaternion, body rate and gyro bias", _HAN, "ekf", "marg"),
+    Method("marg-iekf", "marg-ekf that linearises a measurement again where it leads", _BELL, "iekf", "marg"),
     Method("marg-ckf", "Cubature Kalman filter on quaternion, body rate and gyro bias", _HAN, "ckf", "marg"),
     Method(
         "marg-cdkf", "Central difference Kalman filter on quaternion, body rate and gyro bias", _HAN, "cdkf", "marg"
@@ -167,6 +169,36 @@ def create(name: str, *, site: Site | None = None, sensors: SensorInfo | None = 
     if name in _CATALOGUE:
         return _create(_CATALOGUE[name], site, sensors, settings)
     return _create_foreign(name, site, sensors, settings)
+
+
+def prepare(
+    methods: Sequence[tuple[str, Mapping[str, Any]]], progress: Callable[[str, int, int], None] = lambda *_: None
+) -> None:
+    """Compile, or load from the disk, the kernels of some methods, so that none of them does later.
+
+    Args:
+        methods: name and settings of each; what is not of this catalogue is left out.
+        progress: called with name, number and count of a method when something of it has to be compiled.
+
+    Raises:
+        SettingError: as `create`.
+    """
+    from estimators import native
+
+    own = [(name, settings) for name, settings in methods if name in _CATALOGUE]
+    for number, (name, settings) in enumerate(own, 1):
+        reported: list[None] = []
+
+        def report(name: str = name, number: int = number, reported: list[None] = reported) -> None:
+            if not reported:
+                reported.append(None)
+                progress(name, number, len(own))
+
+        native.listeners.append(report)
+        try:
+            create(name, **settings).prepare()  # type: ignore[attr-defined]
+        finally:
+            native.listeners.remove(report)
 
 
 def _create(method: Method, site: Site, sensors: SensorInfo, settings: Mapping[str, Any]) -> "Estimator":

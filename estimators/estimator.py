@@ -43,6 +43,10 @@ class Estimator(Protocol):
         ...
 
 
+def _kind(array: np.ndarray) -> str:
+    return f"a record of {array.dtype.itemsize} bytes" if array.dtype.names else f"{array.dtype}{array.shape}"
+
+
 class FilterEstimator:
     """An estimator of the catalogue.
 
@@ -87,6 +91,11 @@ class FilterEstimator:
         self._carry: Any = None
         if self.settings.get("initialisation") == "paper" and self.settings["noise"] == "practical":
             self._begin(still=False)  # nothing to learn from the ground
+
+    def prepare(self) -> None:
+        """Compile, or load from the disk, everything that `process` will need; forgets everything seen."""
+        self._begin(still=False)
+        self.reset()
 
     @property
     def parameters(self) -> Any:
@@ -200,8 +209,8 @@ class FilterEstimator:
         """A copy of an array of a state, of the shape and type of `like`."""
         value = state.get(name) if isinstance(state, Mapping) else None
         if not isinstance(value, np.ndarray) or value.shape != like.shape or value.dtype != like.dtype:
-            found = f"{value.dtype}{value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
-            raise EstimationError(f"{self.name}: the state's {name} is {found}, expected {like.dtype}{like.shape}")
+            found = _kind(value) if isinstance(value, np.ndarray) else type(value).__name__
+            raise EstimationError(f"{self.name}: the state's {name} is {found}, expected {_kind(like)}")
         return np.array(value, order="C")
 
     def _fill(self, x: np.ndarray, P: np.ndarray, P_restart: np.ndarray) -> None:

@@ -47,7 +47,7 @@ def condition(
 ) -> bool:
     """Condition the state on measurements, given their joint covariance: eliminate one measurement after the other.
 
-    The Kalman update of any filter (paper 000 eq. (13)-(15)) without forming a gain or an inverse: each pass conditions
+    The Kalman update of any filter (Han 2013, eq. (13)-(15)) without forming a gain or an inverse: each pass conditions
     states and later measurements on measurement k, so what is left of `residual` are independent innovations and
     the pivots are their variances. A measurement that is not used is left out, which is exact. P stays exactly
     symmetric.

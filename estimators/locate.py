@@ -1,4 +1,4 @@
-"""Where an emitter is: the Gaussian sum on the emitter model, look by look (paper 003, section 3.2.4).
+"""Where an emitter is: the Gaussian sum on the emitter model, look by look (Baseline 2021, section 3.2.4).
 
 locator = EmitterLocator(coarse_bearing=math.radians(50.0), every=9)
 fixes = locator.process(looks)
@@ -78,7 +78,7 @@ class _Limits(NamedTuple):
 
 @njit
 def _select(track: _Track, x: np.ndarray, u: np.ndarray) -> None:
-    """Keep fix x as the output when the range seen from the aircraft has changed less than ever, paper 003, step 4."""
+    """Keep fix x as the output when the range has changed less than ever (Baseline 2021, step 4)."""
     before = math.hypot(track.last[0] - u[0], track.last[1] - u[1])
     change = abs(math.hypot(x[0] - u[0], x[1] - u[1]) - before)
     better = change < track.change[0]

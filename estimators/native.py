@@ -439,6 +439,8 @@ def _passed(context: Any, builder: Any, kind: Any, value: Any) -> Any:
 
 _LOADED: dict[str, int] = {}
 _KEEP: list[Any] = []
+listeners: list[Callable[[], None]] = []
+"""Called before each compilation of a C function, not when it comes from the disk."""
 
 
 def compiled(name: str, function: Callable[..., Any], arguments: str, returns: Any) -> int:
@@ -468,6 +470,8 @@ _RETURNS = {None: types.void, bool: types.int64, int: types.int64, float: types.
 def _compile(function: Callable[..., Any], arguments: str, returns: Any) -> tuple[str, Any]:
     kind = _RETURNS[returns](*[_ARGUMENTS[letter] for letter in arguments])
     options: Any = {"error_model": "numpy", "_nrt": False}  # without reference counts: a kernel cannot allocate
+    for listener in listeners:
+        listener()
     made: Any = numba.cfunc(kind, **options)(function)
     name, _, (code, _) = made._library.serialize_using_object_code()
     nothing = llvm.parse_assembly("").as_bitcode()

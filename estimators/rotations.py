@@ -101,7 +101,7 @@ def normalise(q: np.ndarray) -> None:
 
 @njit
 def to_body(q: np.ndarray, x: float, y: float, z: float, out: np.ndarray) -> None:
-    """`out = C_bn(q) (x, y, z)`: navigation vector to body axes; homogeneous of degree 2 in q, as W in paper 000."""
+    """`out = C_bn(q) (x, y, z)`: navigation vector to body axes; homogeneous of degree 2 in q, as W in Han 2013."""
     a, b, c, d = q[0], q[1], q[2], q[3]
     aa, bb, cc, dd = a * a, b * b, c * c, d * d
     out[0] = (aa + bb - cc - dd) * x + 2.0 * ((b * c + a * d) * y + (b * d - a * c) * z)
@@ -191,7 +191,7 @@ def yaw(q: np.ndarray) -> float:
 
 @njit
 def euler(q: np.ndarray) -> tuple[float, float, float]:
-    """Roll, pitch, yaw (rad, yaw in -pi..pi) of q_nb: paper 000 eq. (17) with its names set right."""
+    """Roll, pitch, yaw (rad, yaw in -pi..pi) of q_nb: Han 2013, eq. (17) with its names set right."""
     a, b, c, d = q[0], q[1], q[2], q[3]
     roll = math.atan2(2.0 * (a * b + c * d), 1.0 - 2.0 * (b * b + c * c))
     pitch = math.asin(min(1.0, max(-1.0, 2.0 * (a * c - b * d))))

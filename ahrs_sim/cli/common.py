@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
+    import threading
+
     from ahrs_sim.log.live import Live
     from ahrs_sim.scenario import Gate
 
@@ -118,6 +120,30 @@ def open_live(arguments: argparse.Namespace, stopped: Callable[[], bool] = lambd
     live = Live(arguments.live, arguments.rate, stopped)
     print(f"live at ws://localhost:{live.port} (Foxglove: Open connection, Foxglove WebSocket)", file=sys.stderr)
     return live
+
+
+class CompileNotice:
+    """A line on stderr for each method whose compilation takes longer than a second: silence looks like a fault."""
+
+    def __init__(self, *, hidden: bool = False) -> None:
+        self.hidden = hidden
+        self._timer: threading.Timer | None = None
+
+    def __call__(self, name: str, number: int, count: int) -> None:
+        """Begin with a method, the `number`-th of `count`."""
+        import threading
+
+        self.end()
+        if not self.hidden:
+            text = f"ahrs-sim: compiling {name}, {number} of {count}"
+            self._timer = threading.Timer(1.0, lambda: print(text, file=sys.stderr, flush=True))
+            self._timer.daemon = True
+            self._timer.start()
+
+    def end(self) -> None:
+        """Say nothing of a method that was ready sooner."""
+        if self._timer is not None:
+            self._timer.cancel()
 
 
 class Progress:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from ahrs_sim.cli.common import (
     Commands,
+    CompileNotice,
     Progress,
     add_code,
     add_estimators,
@@ -72,6 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.quiet:
         for note in scenario.notes:
             print(f"ahrs-sim: {note}", file=sys.stderr)
+    _compile(scenario, hidden=arguments.quiet or arguments.json)
     accuracy = Accuracy([e.name for e in scenario.estimators])
     failure: FlightError | None = None
     previous = signal.signal(signal.SIGINT, lambda *_: stop.append(1))
@@ -104,6 +106,23 @@ def run(arguments: argparse.Namespace) -> int:
     if failure:
         raise failure
     return 130 if stop else 0
+
+
+def _compile(scenario: "Scenario", hidden: bool) -> None:
+    """Compile what has never been compiled, with a line for what takes its time."""
+    import estimators
+
+    notice = CompileNotice(hidden=hidden)
+    methods = []
+    for component in scenario.estimators:
+        settings = {k: v for k, v in component.settings.items() if k not in ("method", "suite")}
+        methods.append((component.settings["method"], settings))
+    try:
+        estimators.prepare(methods, notice)
+    except estimators.SettingError:
+        pass  # reported where the estimator is made, with the place in the scenario
+    finally:
+        notice.end()
 
 
 def _scenario(arguments: argparse.Namespace) -> "Scenario":

@@ -1,4 +1,4 @@
-"""Gaussian sum filter (Alspach and Sorenson 1972; paper 003, section 3): a bank of filters, weighted by likelihood.
+"""Gaussian sum filter (Alspach and Sorenson 1972; Baseline 2021, section 3): a bank of filters, weighted by likelihood.
 
 A density with several peaks is a sum of Gaussian terms. Each goes through a filter of its own (any of this package, on
 any model whose state is a plain vector), its weight times the likelihood of the innovation, eq. (17)-(27). Terms that

@@ -1,4 +1,4 @@
-"""Emitter location from the phase between two antennas (paper 003): where a fixed emitter on the ground is.
+"""Emitter location from the phase between two antennas (Baseline 2021): where a fixed emitter on the ground is.
 
 The aircraft carries two antennas, d metres apart along the fuselage. An emitter of frequency f at the bearing theta and
 the range R gives, with `k = 2 pi f d / c` and the direction alpha of the baseline (the heading, from the AHRS),

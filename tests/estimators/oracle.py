@@ -4,7 +4,7 @@ import numpy as np
 
 
 class Marg:
-    """M1 with additive noise, dense: f, h and their Jacobians by complex step."""
+    """The model of Han 2013 with additive noise, dense: f, h and their Jacobians by complex step."""
 
     def __init__(self, gravity, mag_n):
         self.G, self.M = np.array([0.0, 0.0, -gravity]), np.array(mag_n)
@@ -59,8 +59,18 @@ class Ekf:
         return h(x), H @ P @ H.T, P @ H.T
 
 
+def iterate(h, x, P, z, R, used, steps):
+    """Gauss-Newton from the prior (x, P), dense, without stopping early: Bell and Cathey 1993."""
+    rows, moved = np.flatnonzero(used), x
+    for _ in range(steps):
+        H = slope(h, moved)[rows]
+        K = np.linalg.solve(H @ P @ H.T + R[np.ix_(rows, rows)], H @ P).T
+        moved = x + K @ (z[rows] - h(moved)[rows] + H @ (moved - x))
+    return moved, P - K @ H @ P
+
+
 class Ckf:
-    """Paper 000 eq. (2)-(12) as printed."""
+    """Han 2013, eq. (2)-(12) as printed."""
 
     def points(self, x, P):
         n = len(x)

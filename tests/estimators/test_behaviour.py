@@ -79,6 +79,99 @@ def test_a_restored_state_goes_on_identically(name, at):
 def test_a_state_of_another_estimator_is_refused():
     with pytest.raises(EstimationError, match="marg-ckf"):
         create("marg-ekf").restore(create("marg-ckf").state())
+    with pytest.raises(EstimationError, match="settings"):
+        create("marg-ekf").restore(create("marg-ekf", accel_sigma=1.0).state())
+    with pytest.raises(EstimationError, match="settings"):
+        create("marg-ekf").restore(create("marg-ekf", site=SITE).state())
+    with pytest.raises(EstimationError, match="version"):
+        create("marg-ekf").restore({**create("marg-ekf").state(), "version": 99})
+
+
+def _damaged(state):
+    """(what is said, a state that is not whole) of one that is."""
+    kept = state["filter"]
+    for name in ("x", "P", "P_restart", "u", "z", "used", "trust", "memory", "parameters"):
+        yield name, {**state, "filter": {**kept, name: kept[name][:1] if kept[name].ndim else kept["x"]}}
+        yield name, {**state, "filter": {key: value for key, value in kept.items() if key != name}}
+    yield "x", {**state, "filter": {**kept, "x": kept["x"].astype(np.float32)}}
+    yield "x", {**state, "filter": {**kept, "x": kept["x"].tolist()}}
+    yield "stretch", {**state, "stretch": None}
+    yield "parameters", {**state, "filter": 3.0}
+    wrong = kept["parameters"].copy()
+    wrong["states" if "states" in wrong.dtype.names else "aiding"] = 10**6  # would be a size of arrays
+    yield "parameters", {**state, "filter": {**kept, "parameters": wrong}}
+
+
+@pytest.mark.parametrize("name", ["marg-ekf", "ins21"])
+def test_a_damaged_state_is_refused_before_any_kernel_sees_it(name):
+    samples, _ = swinging(6.0)
+    estimator = create(name, site=SITE, align_s=3.0)
+    estimator.process(samples[:500])
+    state = estimator.state()
+    for what, damaged in _damaged(state):
+        with pytest.raises(EstimationError, match=f"state's {what}"):
+            estimator.restore(damaged)
+    rest = samples[500:]
+    expected = estimator.process(rest)  # it is as it was
+    estimator.restore(state)
+    assert_identical(expected, estimator.process(rest))
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("gyro_b", np.zeros((5, 3), complex)), ("accel_b", np.full((5, 3), "1.0")), ("t", np.array(list("01234"))),
+        ("mag_b", np.ma.masked_array(np.zeros((5, 3)), mask=True)), ("airspeed", np.zeros(5, object)),
+    ],
+)  # fmt: skip
+def test_columns_that_are_no_real_numbers_are_refused(column, value):
+    columns = {"t": np.arange(5.0), "gyro_b": np.zeros((5, 3)), "accel_b": np.ones((5, 3))}
+    with pytest.raises(SampleError, match=column):
+        Samples.make(**{**columns, column: value})
+    whole = Samples.make(**columns)
+    with pytest.raises(SampleError, match=column):  # made by hand, without `make`
+        create("marg-ekf").process(dataclasses.replace(whole, **{column: value}))
+
+
+@pytest.mark.parametrize(
+    "site",
+    [
+        Site((0,)), Site((0.0, 0.0, 0.0, 0.0)), Site((1e300, 0.0, 0.0)), Site((0.0, 7.0, 0.0)), Site((0.0, 0.0, 1e9)),
+        Site((0.0, 0.0, 0.0), mag_n=(1e-5, 0.0)),
+    ],
+)  # fmt: skip
+def test_an_impossible_site_is_refused(site):
+    with pytest.raises(SettingError, match="site"):
+        create("ins21", site=site)
+
+
+@pytest.mark.parametrize(("name", "column"), [("marg-ekf", "accel_b"), ("marg-ekf", "mag_b"), ("ins21", "accel_b")])
+def test_a_sensor_that_reads_zero_is_not_running(name, column):
+    samples, _ = swinging(12.0)
+    getattr(samples, column)[600:] = 0.0
+    estimates = create(name, site=SITE, align_s=3.0).process(samples)
+    assert estimates.status[550] == Status.RUNNING or name == "ins21"  # a navigator without GNSS is not, either
+    assert (estimates.status[900:] == Status.COASTING).all()
+    getattr(samples, column)[600:] = np.nan
+    assert_identical(create(name, site=SITE, align_s=3.0).process(samples), estimates)
+
+
+def test_prepare_reports_what_it_compiles(tmp_path):
+    code = (
+        "import estimators\n"
+        "said = []\n"
+        "given = [('tilt-ekf', {}), ('somebody:Else', {}), ('sekf', {})]\n"
+        "estimators.prepare(given, lambda *progress: said.append(progress))\n"
+        "print(said)"
+    )
+    found = []
+    for _ in range(2):
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+        found.append(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment))
+        assert found[-1].returncode == 0, found[-1].stderr
+    if not os.environ.get("NUMBA_DISABLE_JIT"):
+        assert found[0].stdout.strip() == "[('tilt-ekf', 1, 2), ('sekf', 2, 2)]"
+    assert found[1].stdout.strip() == "[]"
 
 
 @pytest.mark.parametrize("name", MARG)

@@ -48,6 +48,44 @@ def test_a_filter_equals_its_naive_oracle(name, naive, initialisation, steps, to
     np.testing.assert_allclose(estimator.state()["filter"]["P"], P, rtol=1e-5, atol=1e-12 if steps > 100 else 1e-3)
 
 
+@pytest.mark.parametrize("steps", [1, 2, 4])
+def test_the_iterated_filter_equals_its_naive_oracle_far_from_the_truth(steps):
+    """One row of a filter whose heading is 40 deg off and known to be: there a second look changes much."""
+    samples, _ = swaying()
+    names = {"marg-iekf": {"iterations": float(steps)}, "marg-ekf": {}}
+    after = {}
+    for name, more in names.items():
+        estimator = create(name, site=SITE, **SETTINGS, **more)
+        estimator.process(samples[:300])
+        state = estimator.state()
+        q, kept = state["filter"]["x"][:4].copy(), state["filter"]
+        half = np.radians(20.0)
+        kept["x"][:4] = [
+            np.cos(half) * q[0] - np.sin(half) * q[3], np.cos(half) * q[1] - np.sin(half) * q[2],
+            np.cos(half) * q[2] + np.sin(half) * q[1], np.cos(half) * q[3] + np.sin(half) * q[0],
+        ]  # fmt: skip
+        kept["P"][:4, :4] += 0.05 * np.eye(4)
+        estimator.restore(state)
+        before = {key: np.array(value) for key, value in kept.items()}
+        estimator.process(samples[300:301])
+        after[name] = estimator.state()["filter"]["x"], before, estimator.parameters
+    found, kept, model = after["marg-iekf"]
+    naive, dt = oracle.Marg(SITE.gravity, SITE.mag_n), samples.t[300] - float(kept["clock"])
+    x, P = oracle.Ekf().predict(lambda v: naive.f(v, dt), kept["x"], kept["P"])
+    P[range(4), range(4)] += model.q_noise * dt
+    P[4:7, 4:7] += model.Q_rate * dt
+    P[range(7, 10), range(7, 10)] += model.bias_noise * dt
+    R = np.zeros((9, 9))
+    R[:3, :3], R[3:6, 3:6], R[6:, 6:] = model.R_accel, model.R_mag, model.R_gyro
+    z = np.concatenate([samples.accel_b[300], samples.mag_b[300], samples.gyro_b[300]])
+    used = np.arange(9) < (6 if samples.mag_new[300] else 3)
+    x, P = oracle.iterate(naive.h, x, P, z, R, used, steps)
+    x, P = oracle.iterate(naive.h, x, P, z, R, np.arange(9) >= 6, 1)  # the gyro is a group of its own, and linear
+    x[:4] /= np.linalg.norm(x[:4])
+    np.testing.assert_allclose(found, x, rtol=1e-7, atol=1e-7)
+    assert (steps == 1) == np.allclose(found, after["marg-ekf"][0], rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.parametrize("aiding", ["none", "airspeed"])
 def test_jacobians_are_the_complex_step(aiding):
     estimator = create("marg-ekf", site=SITE, initialisation="paper", noise="practical", aiding=aiding)
