@@ -17,7 +17,7 @@ from estimators.latency import to_gyro_time, to_stamp_time
 from estimators.models.base import Bound, Start
 from estimators.native import Record, loaded, passed, same_integers
 from estimators.records import blank_estimates, pack, unpack
-from estimators.run import first_bad_stamp, run
+from estimators.run import run, screen
 from estimators.types import Estimates, Samples, SensorInfo, Site
 
 STATE_VERSION = 1
@@ -75,7 +75,7 @@ class FilterEstimator:
         self._run, self._align, self._bad = (
             loaded(run, "run"),
             loaded(align, "alignment"),
-            loaded(first_bad_stamp, "run"),
+            loaded(screen, "run"),
         )
         self._delays = sensors.gyro_delay, sensors.accel_delay, sensors.mag_delay
         self._late = any(self._delays)
@@ -137,9 +137,7 @@ class FilterEstimator:
             raise SampleError(f"{self.name}: time stamp {t[bad]} s in row {bad} after {before} s")
 
     def _estimate(self, rows: np.ndarray, out: np.ndarray, first: int) -> None:
-        assert self._model is not None
-        handles = self._method.handle, self._policy.handle, self._model.handle, self._carry, self._work
-        self._run(*passed(*handles, rows, out), first, len(rows))
+        self._run(*self._fixed, *passed(rows, out), first, len(rows))
 
     def _begin(self, still: bool) -> None:
         alignment = conclude(self._stretch, still, self.site, self.sensors)
@@ -214,6 +212,10 @@ class FilterEstimator:
         return np.array(value, order="C")
 
     def _fill(self, x: np.ndarray, P: np.ndarray, P_restart: np.ndarray) -> None:
+        assert self._model is not None
         n = len(P)
+        self._fixed = passed(
+            self._method.handle, self._policy.handle, self._model.handle, self._carry, self._work
+        )  # they stay where they are
         self._carry.x[: len(x)] = x
         self._carry.P[:n, :n], self._carry.P_restart[:n, :n] = P, P_restart

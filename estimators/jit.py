@@ -88,7 +88,8 @@ JIT = not numba.config.DISABLE_JIT  # type: ignore[attr-defined]
 njit = compiler(_HERE)
 
 
-def inner(function: Callable[..., Any]) -> Any:
+def inner(function: Callable[..., Any], forceinline: bool = False) -> Any:
     """Compile a part of kernels that nobody calls from Python: no wrapper for it, no file of its own on disk."""
     options: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "error_model": "numpy", "_nrt": False}
+    options["forceinline"] = forceinline
     return numba.njit(**options)(function)

@@ -366,7 +366,7 @@ def supplied(called: Any, owner: Any, kernel: Callable[..., Any] | None, key: st
         return called.adapter(owner, kernel and getattr(kernel, "py_func", kernel))
     name = f"{key}.{called.__name__}"
     if name not in _LOADED:
-        body = called.adapter(owner, kernel and inner(getattr(kernel, "py_func", kernel)))
+        body = called.adapter(owner, kernel and inner(getattr(kernel, "py_func", kernel), forceinline=True))
         _LOADED[name] = compiled(name, body, called.arguments, called.returns)
     return _LOADED[name]
 

@@ -56,7 +56,8 @@ class Estimate(Record):
 
 
 SAMPLE, ESTIMATE = Sample.dtype, Estimate.dtype
-_NOTHING = Estimate.nans().data
+_WIDTH = ESTIMATE.itemsize // 8
+_COLUMNS = Samples.__match_args__
 
 
 def pack(samples: Samples) -> np.ndarray:
@@ -67,19 +68,21 @@ def pack(samples: Samples) -> np.ndarray:
     """
     n = len(real("t", samples.t))
     rows = np.empty(n, SAMPLE)
-    for name in Samples.__match_args__:
-        column, field = real(name, getattr(samples, name)), rows[name]
+    for name in _COLUMNS:
+        column, field = getattr(samples, name), rows[name]
+        if type(column) is not np.ndarray or column.dtype.kind not in "fb":
+            column = real(name, column)
         if column.shape != field.shape:
             raise SampleError(f"Samples: {name} has shape {column.shape}, expected {field.shape}")
         field[...] = column
-    for name in ("accel_b", "mag_b"):  # zero on all axes is a dead sensor, not a measurement
-        rows[name][~rows[name].any(axis=1)] = np.nan
     return rows
 
 
 def blank_estimates(n: int) -> np.ndarray:
     """Records (n,) of nothing: NaN, status ALIGNING."""
-    return np.full(n, _NOTHING)
+    rows = np.full((n, _WIDTH), np.nan).view(ESTIMATE).reshape(n)
+    rows["status"] = 0
+    return rows
 
 
 def unpack(rows: np.ndarray) -> Estimates:

@@ -14,7 +14,7 @@ from estimators.filters.base import METHOD, FilterHandle, predict, reported, upd
 from estimators.filters.work import CARRY, WORK, Carry, Work
 from estimators.jit import inner
 from estimators.linalg import healthy
-from estimators.models.base import HANDLE, Handle, constrain, load, measure
+from estimators.models.base import HANDLE, Handle, constrain, load, measure, report
 from estimators.native import adapts, entry, record
 from estimators.records import ESTIMATE, SAMPLE, Estimate, Sample
 from estimators.types import MEASUREMENTS, Status
@@ -26,17 +26,29 @@ BACKWARDS = 1.0  # s: a stamp that goes further back is another recording, not j
 _RUNNING, _COASTING, _DIVERGED = int(Status.RUNNING), int(Status.COASTING), int(Status.DIVERGED)
 
 
+@inner
+def _blank_zero(v: np.ndarray) -> None:
+    if v[0] == 0.0 and v[1] == 0.0 and v[2] == 0.0:
+        v[0] = v[1] = v[2] = math.nan
+
+
 @entry("pif", int)
-def first_bad_stamp(rows: np.ndarray, count: int, last: float) -> int:  # type: ignore[empty-body]
-    """Find the first row whose stamp is not finite or jumps back more than `BACKWARDS`; -1 when there is none."""
+def screen(rows: np.ndarray, count: int, last: float) -> int:  # type: ignore[empty-body]
+    """Find the first row whose stamp is not finite or jumps back more than `BACKWARDS`; -1 when there is none.
+
+    Zero on all axes of accelerometer or magnetometer is a dead sensor, not a measurement: it becomes NaN.
+    """
 
 
-@adapts(first_bad_stamp)
-def _first_bad_stamp(owner: Any, kernel: Any) -> Any:
+@adapts(screen)
+def _screen(owner: Any, kernel: Any) -> Any:
     def body(rows, count, last):  # type: ignore[no-untyped-def]
         latest = last
         for k in range(count):
-            t = record(rows, SAMPLE, k).t
+            row = record(rows, SAMPLE, k)
+            _blank_zero(row.accel_b)
+            _blank_zero(row.mag_b)
+            t = row.t
             if not math.isfinite(t) or t < latest - BACKWARDS:
                 return k
             if not latest >= t:
@@ -70,6 +82,15 @@ def _correct(
 
 
 @inner
+def _report(method: FilterHandle, model: Handle, carry: Carry, work: Work, answer: Estimate) -> None:
+    """Write the estimate; most filters keep P as it is reported."""
+    if method.plain != 0:
+        report(model, carry.x, carry.P, answer)
+    else:
+        reported(method, model, carry.x, carry.P, work, answer)
+
+
+@inner
 def _restart(model: Handle, carry: Carry, work: Work, answer: Estimate) -> None:
     """Go back to the state before the row, with a large covariance."""
     for i in range(model.raw):
@@ -91,7 +112,7 @@ def _step(
     dt = t - carry.clock
     if dt <= 0.0:
         answer.status = _COASTING
-        reported(method, model, carry.x, carry.P, work, answer)
+        _report(method, model, carry, work, answer)
         return
     carry.clock = t
     for i in range(model.raw):
@@ -104,7 +125,8 @@ def _step(
     for _ in range(steps):
         ok = ok and predict(method, model, carry.x, carry.P, carry.u, dt / steps, work)
     state = measure(model, row, carry.x, carry.u, carry.z, carry.used)
-    if admit(policy, model, row, carry.x, carry.trust, carry.used) or dt > MAX_STEP:
+    refused = policy.admits != 0 and admit(policy, model, row, carry.x, carry.trust, carry.used)
+    if refused or dt > MAX_STEP:
         state = _COASTING
     ok = ok and _correct(method, policy, model, carry, work, answer)
     if not (ok and healthy(model.raw, carry.x, model.size, carry.P)):
@@ -113,7 +135,7 @@ def _step(
     answer.status = state
     for i in range(4):
         answer.adaptation[i] = carry.trust[i]
-    reported(method, model, carry.x, carry.P, work, answer)
+    _report(method, model, carry, work, answer)
 
 
 @entry("pppppppii")

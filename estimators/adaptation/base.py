@@ -15,6 +15,7 @@ from estimators.jit import JIT, inner
 from estimators.models.base import HANDLE, Handle, measurement_noise
 from estimators.native import (
     Address,
+    Integer,
     Plain,
     Record,
     adapts,
@@ -69,6 +70,8 @@ class PolicyHandle(Record):
     """A policy to the loop: addresses of its parameters and functions."""
 
     parameters: Address
+    admits: Integer  # 0: it has no `admit`, and the loop need not call it
+    weighs: Integer  # 0: no `factor`
     admit: Address
     factor: Address
 
@@ -130,6 +133,8 @@ def weigh(
         for j in range(i + 1):
             noise[i, j] = 0.0
     measurement_noise(model, group, x, u, noise)
+    if policy.weighs == 0:
+        return
     sensor = 0
     for g in range(group):
         sensor += (model.rows[g] + 2) // 3
@@ -152,7 +157,7 @@ class BoundPolicy:
     def __init__(self, module: ModuleType, parameters: Any) -> None:
         """Bind the kernels of a policy, compiled or loaded."""
         self.parameters = parameters
-        fields = {}
+        fields = {"admits": int(hasattr(module, "admit")), "weighs": int(hasattr(module, "factor"))}
         for called in (admit, factor):
             kernel = getattr(module, called.__name__, None)
             fields[called.__name__] = supplied(called, module, kernel, source_key(kernel, "adaptation.plain"))

@@ -29,6 +29,7 @@ from estimators.models.base import (
 )
 from estimators.native import (
     Address,
+    Integer,
     Plain,
     Record,
     adapts,
@@ -97,6 +98,7 @@ class FilterHandle(Record):
     """A filter to the loop: addresses of its parameters and functions."""
 
     parameters: Address
+    plain: Integer  # 1: it keeps P itself, and has neither `correct` nor `reported`
     predict: Address
     project: Address
     correct: Address
@@ -195,12 +197,23 @@ def _once(
 ) -> bool:  # fmt: skip
     """Update by a measurement group as any Kalman filter does, whatever the moments come from."""
     ok = project(own, model, group, x, P, u, work)
-    residual(model, group, 1, work.measured, work.y, work.residual)
+    if model.subtracts != 0:  # a call costs as much as so short a loop
+        for i in range(model.rows[group]):
+            work.residual[i] = work.measured[i] - work.y[i]
+    else:
+        residual(model, group, 1, work.measured, work.y, work.residual)
     weigh(policy, model, group, x, u, trust, work)
-    ok &= correct(own, model, group, P, work)
-    retract(model, 1, x, work.dx, work.x)
-    for i in range(model.raw):
-        x[i] = work.x[i]
+    if own.plain != 0:
+        ok &= moments.condition(model, group, P, work)
+    else:
+        ok &= correct(own, model, group, P, work)
+    if model.adds != 0:
+        for i in range(model.size):
+            x[i] += work.dx[i]
+    else:
+        retract(model, 1, x, work.dx, work.x)
+        for i in range(model.raw):
+            x[i] = work.x[i]
     return ok
 
 
@@ -238,7 +251,7 @@ class Method:
     def __init__(self, module: ModuleType, parameters: Any) -> None:
         """Bind the kernels of a filter, compiled or loaded."""
         self.module, self.parameters = module, parameters
-        fields = {}
+        fields: dict[str, Any] = {"plain": int(not (hasattr(module, "correct") or hasattr(module, "reported")))}
         for called in _ENTRIES:
             kernel = getattr(module, called.__name__, None)
             key = source_key(kernel, "filters.plain")

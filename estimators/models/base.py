@@ -154,6 +154,8 @@ class Handle(Record):
     linear: _Groups
     magnetic: _Rows
     disturbed: _Rows
+    subtracts: Integer  # 1: it has no `residual`
+    adds: Integer  # 1: it has no `retract`
     load: Address
     measure: Address
     propagate: Address
@@ -421,6 +423,7 @@ class Bound:
         fields: dict[str, Any] = {
             "raw": raw, "size": n, "changed": start.changed, "read": start.read, "groups": len(start.groups),
             "magnetic": np.array(start.magnetic), "disturbed": np.array(start.disturbed),
+            "subtracts": int(not hasattr(model, "residual")), "adds": int(not hasattr(model, "retract")),
         }  # fmt: skip
         for name in Group._fields:
             fields[name] = np.zeros(GROUPS, np.int64)
