@@ -64,6 +64,8 @@ class Answers(NamedTuple):
     accel_bias_sigma: np.ndarray
     lla: np.ndarray
     vel_n: np.ndarray
+    pos_cov: np.ndarray
+    vel_cov: np.ndarray
     innovation: np.ndarray
     innovation_var: np.ndarray
     adaptation: np.ndarray
@@ -92,6 +94,7 @@ class Parameters(NamedTuple):
     mag_noise: float  # T, of one sample
     mag_floor: float  # T, of one use of the field, whatever the number of samples
     gyro_delay: float  # s: estimates are turned on by so much, to the stamp
+    accel_delay: float  # s: and moved on by so much
     baseline_share: float  # of the reported sigma that is white
     surprise: float  # of a measurement, per degree of freedom: beyond, its noise is taken as larger
     use_heading: bool

@@ -298,11 +298,16 @@ def recover(nominal: Any, safe: np.ndarray) -> None:
 
 @njit
 def report(model: Any, nominal: Any, P: np.ndarray, memory: Any, work: Any, out: Any, k: int) -> None:
-    """Row k of estimates from the state, the attitude turned on to the time of the stamp."""
-    c, C, q = nominal.c, work.C, (nominal.q[0], nominal.q[1], nominal.q[2], nominal.q[3])
-    if model.gyro_delay > 0.0 and memory.last[0, 0] == memory.last[0, 0]:
+    """Row k of estimates from the state, turned and moved on to the time of the stamp."""
+    c, C, q, ahead = nominal.c, work.C, (nominal.q[0], nominal.q[1], nominal.q[2], nominal.q[3]), model.accel_delay
+    v_n, lla, a_n = nominal.v, nominal.lla, (0.0, 0.0, 0.0)
+    if not math.isnan(memory.last[0, 0]):
+        f = true_force(c, memory.last[1])
+        f_n = nav_vector(q, f[0], f[1], f[2])
+        a_n = (f_n[0], f_n[1], f_n[2] + model.gravity)
         w = true_rate(c, memory.last[0])
         q = turned(q, model.gyro_delay * w[0], model.gyro_delay * w[1], model.gyro_delay * w[2])
+    moved(lla, ahead * v_n[0], ahead * v_n[1], ahead * v_n[2], out.lla[k])
     for i in range(4):
         out.q_nb[k, i] = q[i]
     attitude_matrix(out.q_nb[k], C)
@@ -322,7 +327,9 @@ def report(model: Any, nominal: Any, P: np.ndarray, memory: Any, work: Any, out:
         out.gyro_bias[k, i], out.gyro_bias_sigma[k, i] = bias, math.sqrt(max(variance, 0.0))
         out.accel_bias[k, i] = c[ACCEL_BIAS + i]
         out.accel_bias_sigma[k, i] = math.sqrt(max(P[ACCEL_BIAS + i, ACCEL_BIAS + i], 0.0))
-        out.vel_n[k, i], out.lla[k, i] = nominal.v[i], nominal.lla[i]
+        out.vel_n[k, i] = v_n[i] + ahead * a_n[i]
+        for j in range(3):
+            out.vel_cov[k, i, j], out.pos_cov[k, i, j] = P[VEL + i, VEL + j], P[POS + i, POS + j]
     out.adaptation[k, 0] = memory.seen[IS_STILL]
     out.adaptation[k, 1] = memory.seen[SURPRISE]
 

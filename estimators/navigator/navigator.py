@@ -224,6 +224,7 @@ def parameters(settings: Mapping[str, Any], site: Site, sensors: SensorInfo) -> 
         mag_n=np.array(site.mag_n, float),
         antenna_b=np.array(sensors.antenna_b, float),
         gyro_delay=sensors.gyro_delay,
+        accel_delay=sensors.accel_delay,
         gyro_psd=gyro + settings["gyro_noise"] ** 2 / 2.0 + 1e-12,
         rate_noise=2.0 * SCALE_TIME * (settings["scale_share"] * sensors.gyro_scale) ** 2,
         jerk_share=settings["jerk_share"],

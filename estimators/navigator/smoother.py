@@ -57,7 +57,7 @@ class Smoothed(NamedTuple):
     row: np.ndarray  # (batches,) int64, with which it ends
     delta: np.ndarray  # (batches, SMOOTHED) at the end of a batch, to the filtered state
     before: np.ndarray  # (batches, SMOOTHED) to the state before the batch's own correction
-    cov: np.ndarray  # (batches, 3, 3) of phi, navigation axes
+    cov: np.ndarray  # (batches, 3, 3, 3) of phi, velocity and place, navigation axes
     bias_var: np.ndarray  # (batches, 6) of the biases of gyro and accelerometer
 
 
@@ -93,34 +93,36 @@ def conclude_batch(
         for j in range(N):
             total += P[i, j] * lam[j]
         delta[i] = -total
-    for a in range(9):  # the rotation, the sum of the terms of the gyro's bias, the accelerometer's bias
+    for a in range(15):  # rotation, velocity, place, the sum of the terms of the gyro's bias, the accelerometer's bias
         rows = scratch[a]
         for j in range(N):
-            if a < 3:
+            if a < 9:
                 rows[j] = P[PHI + a, j]
-            elif a < 6:
-                rows[j] = P[GYRO_BIAS + a - 3, j] + P[GYRO_FAST + a - 3, j] + P[GYRO_SLOW + a - 3, j]
+            elif a < 12:
+                rows[j] = P[GYRO_BIAS + a - 9, j] + P[GYRO_FAST + a - 9, j] + P[GYRO_SLOW + a - 9, j]
             else:
-                rows[j] = P[ACCEL_BIAS + a - 6, j]
-        product = scratch[9 + a]
+                rows[j] = P[ACCEL_BIAS + a - 12, j]
+        product = scratch[15 + a]
         for j in range(N):
             product[j] = 0.0
         for k in range(N):
             factor, line = rows[k], L[k]
             for j in range(N):
                 product[j] += factor * line[j]
+    for kind in range(3):
+        for a in range(3 * kind, 3 * kind + 3):
+            for b in range(3 * kind, a + 1):
+                total = P[a, b]
+                for j in range(N):
+                    total -= scratch[15 + a, j] * scratch[b, j]
+                cov[kind, a % 3, b % 3] = cov[kind, b % 3, a % 3] = total
     for a in range(3):
-        for b in range(a + 1):
-            total = P[PHI + a, PHI + b]
-            for j in range(N):
-                total -= scratch[9 + a, j] * scratch[b, j]
-            cov[a, b] = cov[b, a] = total
         total, other = 0.0, P[ACCEL_BIAS + a, ACCEL_BIAS + a]
         for at in (GYRO_BIAS + a, GYRO_FAST + a, GYRO_SLOW + a):
-            total += scratch[3 + a, at]
+            total += scratch[9 + a, at]
         for j in range(N):
-            total -= scratch[12 + a, j] * scratch[3 + a, j]
-            other -= scratch[15 + a, j] * scratch[6 + a, j]
+            total -= scratch[24 + a, j] * scratch[9 + a, j]
+            other -= scratch[27 + a, j] * scratch[12 + a, j]
         bias_var[a], bias_var[3 + a] = total, other
 
 
@@ -191,6 +193,7 @@ def over_motion(lam: np.ndarray, L: np.ndarray, F: np.ndarray, keep: np.ndarray,
 def correct_rows(
     t: np.ndarray, smoothed: Any, q: np.ndarray, down: np.ndarray, cov: np.ndarray, gyro: np.ndarray,
     gyro_sigma: np.ndarray, accel: np.ndarray, accel_sigma: np.ndarray, lla: np.ndarray, vel: np.ndarray,
+    vel_cov: np.ndarray, pos_cov: np.ndarray,
 ) -> None:  # fmt: skip
     """Apply the corrections to estimates, straight between the ends of batches; rows of NaN stay."""
     delta, C, turned, place = np.empty(SMOOTHED), np.empty((3, 3)), np.empty(4), np.empty(3)
@@ -220,10 +223,11 @@ def correct_rows(
             gyro_sigma[k, i] = math.sqrt(max(smoothed.bias_var[at, i], 0.0))
             accel_sigma[k, i] = math.sqrt(max(smoothed.bias_var[at, 3 + i], 0.0))
             for j in range(3):
+                vel_cov[k, i, j], pos_cov[k, i, j] = smoothed.cov[at, 1, i, j], smoothed.cov[at, 2, i, j]
                 total = 0.0
                 for a in range(3):
                     for b in range(3):
-                        total += C[i, a] * smoothed.cov[at, a, b] * C[j, b]
+                        total += C[i, a] * smoothed.cov[at, 0, a, b] * C[j, b]
                 cov[k, i, j] = total
         moved((lla[k, 0], lla[k, 1], lla[k, 2]), delta[POS], delta[POS + 1], delta[POS + 2], place)
         lla[k] = place
@@ -267,6 +271,7 @@ def smooth(navigator: Navigator, samples: Samples) -> Estimates:
 
 REPORTED = (
     "q_nb", "down_b", "att_cov", "gyro_bias", "gyro_bias_sigma", "accel_bias", "accel_bias_sigma", "lla", "vel_n",
+    "vel_cov", "pos_cov",
 )  # fmt: skip
 """What a smoother changes."""
 
@@ -282,7 +287,7 @@ def _backwards(tape: Tape, behind: Behind, first: int) -> Smoothed:
         first + tape.row[:count],
         np.zeros((count, SMOOTHED)),
         np.zeros((count, SMOOTHED)),
-        np.zeros((count, 3, 3)),
+        np.zeros((count, 3, 3, 3)),
         np.zeros((count, 6)),
     )
     backwards(tape, behind, out, np.zeros((N, N)))

@@ -193,7 +193,9 @@ def test_smoother_of_a_linear_model_is_that_of_rauch_tung_and_striebel():
         covariance.note_end(work.tape, work, P, False, 0)
         posterior.append(P.copy())
         corrections.append(work.dx.copy())
-    out = Smoothed(work.tape.row, *(np.zeros((batches, *shape)) for shape in ((SMOOTHED,), (SMOOTHED,), (3, 3), (6,))))
+    out = Smoothed(
+        work.tape.row, *(np.zeros((batches, *shape)) for shape in ((SMOOTHED,), (SMOOTHED,), (3, 3, 3), (6,)))
+    )
     backwards(work.tape, Behind(np.zeros(N), np.zeros((N, N))), out, np.zeros((N, N)))
     delta, smoothed = np.zeros(N), posterior[-1]
     for k in range(batches - 1, -1, -1):
@@ -202,7 +204,9 @@ def test_smoother_of_a_linear_model_is_that_of_rauch_tung_and_striebel():
             delta = G @ (delta + corrections[k + 1])
             smoothed = posterior[k] + G @ (smoothed - prior[k + 1]) @ G.T
         np.testing.assert_allclose(out.delta[k], delta[:SMOOTHED], rtol=1e-9, atol=1e-9 * np.abs(delta).max())
-        np.testing.assert_allclose(out.cov[k], smoothed[:3, :3], rtol=1e-9, atol=1e-9)
+        for kind in range(3):
+            of = slice(3 * kind, 3 * kind + 3)
+            np.testing.assert_allclose(out.cov[k, kind], smoothed[of, of], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(out.bias_var[k, 3:], np.diag(smoothed)[18:21], rtol=1e-9)
 
 
