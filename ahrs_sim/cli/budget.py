@@ -1,4 +1,4 @@
-"""`ahrs-sim budget`: which error of the sensors costs an estimator how much attitude."""
+"""`ahrs-sim budget`: how much each sensor error contributes to an estimator's attitude error."""
 
 import argparse
 import json
@@ -9,7 +9,9 @@ from ahrs_sim.cli.common import Commands, Progress, add_span, count, gate, natur
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
-    command = commands.add_parser("budget", help="which error of the sensors costs an estimator how much attitude")
+    command = commands.add_parser(
+        "budget", help="how much each sensor error contributes to an estimator's attitude error"
+    )
     command.add_argument("scenario", help="a TOML file, or the name of a shipped scenario")
     command.add_argument("--estimator", required=True, metavar="NAME", help="one of the scenario's, or METHOD@SUITE")
     command.add_argument("--suite", metavar="NAME", help="on this suite")
@@ -24,7 +26,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Print which error of the sensors costs an estimator how much attitude."""
+    """Print how much each sensor error contributes to an estimator's attitude error."""
     from ahrs_sim import scenario as scenarios
     from ahrs_sim.runs import budget
 

@@ -13,7 +13,9 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command = commands.add_parser("campaign", help="many flights with varied seeds and values; statistics of them")
     command.add_argument("scenario", help="a TOML file, or the name of a shipped scenario")
     command.add_argument("--runs", type=count, required=True, metavar="N")
-    command.add_argument("-o", "--output", metavar="DIR", help="a folder or an fsspec address; needed but for --tune")
+    command.add_argument(
+        "-o", "--output", metavar="DIR", help="a folder or an fsspec address; required unless --tune is given"
+    )
     command.add_argument(
         "--vary",
         action="append",

@@ -37,10 +37,12 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument("--seed", type=natural, metavar="N", help="instead of the scenario's")
     add_estimators(command, "only this one, or METHOD@SUITE; may be repeated")
     add_code(command)
-    command.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
+    command.add_argument("--duration", type=positive, metavar="S", help="stop after S seconds")
     command.add_argument("--pilot", metavar="NAME", help="fly on the attitude of this estimator, or on the truth")
     command.add_argument("--force", action="store_true", help="replace an existing log")
-    command.add_argument("--block", type=positive, metavar="S", help="seconds a block (the log does not depend on it)")
+    command.add_argument(
+        "--block", type=positive, metavar="S", help="block length in seconds (the log does not depend on it)"
+    )
     command.add_argument(
         "--ros-axes", action="store_true", help="IMU topics a second time behind /ros, in ENU and FLU (REP-103)"
     )

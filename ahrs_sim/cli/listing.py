@@ -9,7 +9,7 @@ from ahrs_sim.cli.common import Commands
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
-    command = commands.add_parser("list", help="what there is")
+    command = commands.add_parser("list", help="list scenarios, aircraft, grades, estimators or layouts")
     command.add_argument("what", choices=[*_LISTS, "interface"])
     command.add_argument("--json", action="store_true")
     return command

@@ -43,7 +43,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     add_span(command, "errors ")
     command.add_argument("--skip", type=positive, metavar="S", help="estimators see nothing of the first S seconds")
     command.add_argument("--until", type=positive, metavar="S", help="estimators see nothing after S seconds")
-    command.add_argument("--align", choices=["heading", "frames"], help="take out a constant rotation first")
+    command.add_argument("--align", choices=["heading", "frames"], help="remove a constant rotation before comparing")
     command.add_argument("--sync", action="store_true", help="shift a bag's reference to the time of its gyro")
     command.add_argument("--reference", metavar="TOPIC", help="what a recording's errors are taken against")
     command.add_argument(

@@ -290,8 +290,8 @@ def _field(place: tuple[float, float, float] | None, source: Source, map_: Map, 
         years = min(max(year - magnetic.LAST, -25.0), 25.0)
         field = ends[1] + years * (ends[1] - ends[0]) / (magnetic.LAST - 0.01 - magnetic.FIRST)
         notes.append(
-            f"{year:.1f} is {year - magnetic.LAST:.1f} years after WMM2025: field carried on by its change "
-            "([place] declination_deg)"
+            f"{year:.1f} is {year - magnetic.LAST:.1f} years after WMM2025: field extrapolated with the model's "
+            "secular variation ([place] declination_deg)"
         )
     field = _turned(field, map_.place.get("declination_deg"))
     declination = math.degrees(math.atan2(field[1], field[0]))

@@ -46,9 +46,9 @@ def compare(
         reference: an estimator of the log, or any topic with orientations (its axes as its frame names say, else FLU
             and ENU), to compare with; None: the truth, else the reference that a replay has left.
         start, end: only samples in this span, s of flight.
-        align: take out a constant rotation of each estimator first: "heading" (about down), or "frames" (one in each
-            frame).
-        sync: take out a constant delay of each estimator first.
+        align: remove a constant rotation of each estimator before comparing: "heading" (about
+            down), or "frames" (one in each frame).
+        sync: remove a constant delay of each estimator before comparing.
         band_s: for campaigns: also the RMSE of every so many seconds, and mean NEES and NIS per degree of freedom.
 
     Returns:

@@ -116,7 +116,7 @@ def span(text: str, where: str) -> tuple[float, float]:
     except ValueError:
         numbers = math.nan, math.nan
     if not dots or not numbers[0] < numbers[1] or not all(map(math.isfinite, numbers)):
-        raise InputError(f"{where}: '{text}' is no span; write LOW..HIGH")
+        raise InputError(f"{where}: '{text}' is not a range; write LOW..HIGH")
     return numbers
 
 
@@ -361,7 +361,7 @@ class Store:
         """Write the manifest, or check that the campaign here is the same one; more runs may be asked for.
 
         Raises:
-            InputError: another campaign lies here.
+            InputError: the folder already holds a different campaign.
         """
         raw = self.read("manifest.json")
         new = plan.manifest()
@@ -372,7 +372,9 @@ class Store:
             if any(Variation.read(v).kind == "lhs" for v in plan.vary) and runs != new["runs"]:
                 changed.append("runs (a Latin hypercube has a fixed number)")
             if changed:
-                raise InputError(f"{self.place}: another campaign lies there ({changed[0]} differs); choose another -o")
+                raise InputError(
+                    f"{self.place}: already holds a different campaign ({changed[0]} differs); choose another -o"
+                )
             if old.get("versions") != new["versions"]:
                 raise InputError(f"{self.place}: was flown with other versions ({old.get('versions')}); start anew")
             new["runs"] = max(new["runs"], runs)
@@ -464,7 +466,7 @@ def fly(plan: Plan, store: Store, pool: Pool, progress: Callable[[int, int], Non
         How many runs were flown now.
 
     Raises:
-        InputError: another campaign lies in the store, or no run can be flown as the scenario is.
+        InputError: the store holds a different campaign, or no run can be flown as the scenario is.
     """
     store.begin(plan)
     done = store.done()

@@ -171,7 +171,7 @@ def test_another_campaign_is_not_mixed_in(short: Path, tmp_path: Path) -> None:
     store.begin(Plan.make(loaded, 5))
     store.begin(Plan.make(loaded, 9))  # more of the same
     assert store.plan().runs == 9
-    with pytest.raises(InputError, match="another campaign"):
+    with pytest.raises(InputError, match="a different campaign"):
         store.begin(Plan.make(loaded, 5, ["wind.speed_mps=uniform:0..1"]))
     with pytest.raises(InputError, match="no campaign"):
         Store(str(tmp_path / "none")).plan()
