@@ -164,7 +164,7 @@ def _cut(recording: Recording, skip: float, until: float) -> Recording:
 def accuracy(
     output: Path, *, start: float | None = None, end: float | None = None, align: str | None = None
 ) -> dict[str, Any] | None:
-    """Errors of the estimates in a log made by `replay`; None when it has no truth and no reference."""
+    """Compute errors of the estimates in a log made by `replay`; None when it has no truth and no reference."""
     with FlightReader(output) as log:
         if "/truth/imu" not in log.topics and REFERENCE.topic not in log.topics:
             return None
@@ -182,7 +182,7 @@ def evaluate(
     gate: Gate = _FOREIGN,
     progress: Callable[[float, float | None], None] = lambda t, end: None,
 ) -> dict[str, Any] | None:
-    """Errors of estimators on a log of ours, as `replay` and `accuracy` give them, without a new log.
+    """Evaluate estimators on a log of ours as `replay` and `accuracy` do, without a new log.
 
     None: not a log of ours, or one without the truth, or an estimator from outside is among them.
 
@@ -232,7 +232,7 @@ def of_flight(
     *topics: str,
     gate: Gate = _FOREIGN,
 ) -> Recording:
-    """A log of ours: scenario, site and data sheets from its attachments and metadata; `FlightReader.suite_blocks`.
+    """Open a log of ours: scenario, site and data sheets from attachments and metadata; `FlightReader.suite_blocks`.
 
     Raises:
         InputError: an unknown estimator, or the log does not tell what estimators need.
@@ -279,7 +279,7 @@ def _run(
     chains = recorded_chains(recording.estimators, recording.site, recording.sensors)
     names = [*(c.name for c in recording.estimators), *recording.recorded]
     with LogWriter(output, epoch_ns=recording.epoch_ns, force=force, listener=live) as writer:
-        passing = _Passing(recording, writer, prefixes)
+        passing = _CarryOver(recording, writer, prefixes)
         topics = EstimateTopics(writer, recording.epoch_ns, names)
         for component in recording.estimators:
             writer.metadata(f"estimator {component.name}", {k: str(v) for k, v in component.settings.items()})
@@ -307,7 +307,7 @@ def _run(
 
 
 def _as_estimates(record: Any) -> Estimates:
-    """Attitudes that somebody else's estimator has written."""
+    """Make estimates of attitudes that the recording's own estimator has written."""
     known = np.isfinite(record.q_nb).all(axis=1)
     columns = blank(Estimates, int(known.sum()))
     columns["t"], columns["q_nb"] = record.stamp_ns[known] / 1e9, record.q_nb[known]
@@ -315,8 +315,8 @@ def _as_estimates(record: Any) -> Estimates:
     return Estimates(**columns)
 
 
-class _Passing:
-    """What of the recording goes into the new log beside the estimates."""
+class _CarryOver:
+    """Carries over what goes from the recording into the new log beside the estimates."""
 
     def __init__(self, recording: Recording, writer: LogWriter, prefixes: tuple[str, ...]) -> None:
         self._writer, self._epoch_ns = writer, recording.epoch_ns
@@ -368,12 +368,12 @@ class _Passing:
         return floor is not None
 
     def advance(self, t_ns: int) -> None:
-        """Estimates up to `t_ns` have been written."""
+        """Carry over what is older than `t_ns`, up to which estimates have been written."""
         while self._floor < t_ns:
             self._next()
         self._writer.advance(min(t_ns, self._floor))
 
     def rest(self) -> None:
-        """Pass on all that is left."""
+        """Carry over all that is left."""
         while self._next():
             self._writer.advance(self._floor)

@@ -6,7 +6,7 @@ RESAMPLES = 2000
 
 
 def interval(differences: np.ndarray, probability: float = 0.95) -> tuple[float, float]:
-    """Percentile bootstrap interval of the mean of paired differences (n,).
+    """Compute the percentile bootstrap interval of the mean of paired differences (n,).
 
     Always the same for the same differences. With n = 3 it spans nearly from the smallest to the largest: three
     differences are significant when they agree in sign.

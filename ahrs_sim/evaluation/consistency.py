@@ -17,7 +17,7 @@ FREEDOM = 3
 
 
 def chi_square_bounds(freedom: np.ndarray | float, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper bound of a chi-square variable, each of the shape of `freedom`.
+    """Compute lower and upper bound of a chi-square variable, each of the shape of `freedom`.
 
     Args:
         freedom: degrees of freedom; NaN where not positive.
@@ -33,7 +33,7 @@ def chi_square_bounds(freedom: np.ndarray | float, probability: float = 0.95) ->
 
 
 def mean_bounds(freedom: int, count: np.ndarray | float, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of the mean of `count` independent chi-square values of `freedom` degrees, divided by `freedom`.
+    """Compute bounds of the mean of `count` independent chi-square values of `freedom` degrees, divided by `freedom`.
 
     For the NEES averaged over the runs of a campaign: 1 is what a consistent filter has.
     """
@@ -43,12 +43,12 @@ def mean_bounds(freedom: int, count: np.ndarray | float, probability: float = 0.
 
 
 def rotation_error(q_nb: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Rotation vectors r (n, 3) rad, body axes, that turn the reference into the estimate: q_nb = q_ref (x) exp(r)."""
+    """Compute the error as rotation vectors r (n, 3) rad in body axes: q_nb = q_ref (x) exp(r)."""
     return attitude.rotation_vector(reference, q_nb)
 
 
 def nees(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Normalised estimation error squared e' P^-1 e (n,).
+    """Compute the normalised estimation error squared e' P^-1 e (n,).
 
     Args:
         error: (n, k).
@@ -72,7 +72,7 @@ def nees(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 
 def attitude_nees(q_nb: np.ndarray, att_cov: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """NEES (n,) of attitudes: three degrees of freedom; NaN without heading or covariance.
+    """Compute the NEES (n,) of attitudes: three degrees of freedom; NaN without heading or covariance.
 
     Args:
         q_nb, reference: (n, 4).
@@ -82,7 +82,7 @@ def attitude_nees(q_nb: np.ndarray, att_cov: np.ndarray, reference: np.ndarray) 
 
 
 def nis(innovation: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normalised innovation squared and its degrees of freedom, (n,) each; unused components (NaN) do not count.
+    """Compute the normalised innovation squared and its degrees of freedom, (n,) each; unused components are NaN.
 
     Args:
         innovation: (n, m), decorrelated.
@@ -95,7 +95,7 @@ def nis(innovation: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def euler_sigma(q_nb: np.ndarray, att_cov: np.ndarray) -> np.ndarray:
-    """One sigma (n, 3) rad of roll, pitch and heading from the covariance of the small rotation in body axes.
+    """Compute one sigma (n, 3) rad of roll, pitch and heading from the covariance of a small rotation in body axes.
 
     To first order; near a pitch of 90 deg roll and heading are not separate and their sigmas grow without bound.
     """

@@ -14,7 +14,7 @@ _LEAST = 5.0  # s of turning needed
 
 
 def rates(t: np.ndarray, q_nb: np.ndarray, at: np.ndarray, width: float) -> np.ndarray:
-    """Mean body rates (m, 3) rad/s over `width` (s) about `at` (m,) of attitudes (n, 4) at rising times (n,)."""
+    """Compute mean body rates (m, 3) rad/s over `width` (s) about `at` (m,) from attitudes (n, 4) at times (n,)."""
     if len(t) < 2:
         return np.full((len(at), 3), np.nan)
     a = attitude.interpolate(t, q_nb, at - width / 2)
@@ -28,7 +28,7 @@ def rates(t: np.ndarray, q_nb: np.ndarray, at: np.ndarray, width: float) -> np.n
 
 
 def time_shift(t: np.ndarray, rate_b: np.ndarray, width: float, t_ref: np.ndarray, q_ref: np.ndarray) -> float | None:
-    """By how many s the attitudes `q_ref` (m, 4) at `t_ref` are later than the body rates (n, 3) rad/s at `t`.
+    """Estimate by how many s attitudes `q_ref` (m, 4) at `t_ref` are later than body rates (n, 3) rad/s at `t`.
 
     The delay that makes the rates differ least, by trying and a parabola; None without `_LEAST` s of turning.
 
@@ -64,7 +64,7 @@ def time_shift(t: np.ndarray, rate_b: np.ndarray, width: float, t_ref: np.ndarra
 
 
 def heading_offset(q: np.ndarray, reference: np.ndarray) -> float:
-    """Rotation about down (rad) that takes the reference (n, 4) closest to the attitudes `q` (n, 4)."""
+    """Find the rotation about down (rad) that takes the reference (n, 4) closest to the attitudes `q` (n, 4)."""
     w = np.sum(q * reference, axis=1)
     z = -q[:, 0] * reference[:, 3] + q[:, 3] * reference[:, 0] - q[:, 1] * reference[:, 2] + q[:, 2] * reference[:, 1]
     good = np.isfinite(w)
@@ -73,7 +73,7 @@ def heading_offset(q: np.ndarray, reference: np.ndarray) -> float:
 
 
 def constant_rotations(q: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Quaternions (4,) `left` and `right` with left (x) reference (x) right closest to `q` (n, 4)."""
+    """Find quaternions (4,) `left` and `right` with left (x) reference (x) right closest to `q` (n, 4)."""
     good = np.isfinite(q).all(axis=1) & np.isfinite(reference).all(axis=1)
     q, reference = q[good], reference[good]
     left = right = np.array([1.0, 0.0, 0.0, 0.0])

@@ -16,7 +16,7 @@ BEGIN, END = "<!-- from here on: python -m ahrs_sim.log.describe -->", "<!-- to 
 
 
 def reference() -> str:
-    """Tables of all topics and of our own types, in Markdown."""
+    """Make tables of all topics and of our own types, in Markdown."""
     suite = [_behind("/<suite>", route) for _, route in topics.INSTRUMENTS.values()]
     suite += [_behind("/<suite>", route) for route in topics.STATUS.values()]
     suite.append(_behind("/<suite>", topics.TEMPERATURE))
@@ -66,7 +66,7 @@ def _fields(name: str) -> list[str]:
 
 
 def renewed(text: str) -> str:
-    """`text` with the reference between its two marks made anew."""
+    """Replace the reference between the two marks in `text`."""
     pattern = re.compile(f"{re.escape(BEGIN)}.*{re.escape(END)}", re.DOTALL)
     if not pattern.search(text):
         raise ValueError("the marks around the reference are missing")

@@ -124,7 +124,7 @@ class EstimateTopics:
 
 
 def nanoseconds(epoch_ns: int, t: np.ndarray) -> np.ndarray:
-    """Times of flight `t` (s) in ns since 1970."""
+    """Convert times of flight `t` (s) to ns since 1970."""
     return epoch_ns + np.rint(t * 1e9).astype(np.int64)
 
 
@@ -216,7 +216,7 @@ class FlightLog:
         return nanoseconds(self.epoch_ns, t)
 
     def truth(self, block: Truth) -> None:
-        """The truth, all rows of the flight in order; every k-th is kept."""
+        """Write the truth: all rows of the flight in order, of which every k-th is kept."""
         if not len(block):
             return
         if self._origin is None:
@@ -256,7 +256,7 @@ class FlightLog:
         )
 
     def record(self, suite: str, instrument: str, block: Record) -> None:
-        """What an instrument has sent, in the order of its stamps."""
+        """Write what an instrument has sent, in the order of its stamps."""
         if not len(block):
             return
         route = INSTRUMENTS[instrument][1]
@@ -283,22 +283,22 @@ class FlightLog:
             self.writer.write(self._temperature[suite], arrival[rows], stamp[rows], temperature=celsius)
 
     def estimates(self, name: str, block: Estimates) -> None:
-        """What an estimator says."""
+        """Write what an estimator reports."""
         self._estimates.write(name, block)
 
     def setpoints(self, block: Setpoints) -> None:
-        """What the pilot asks for."""
+        """Write the set-points of the pilot."""
         times = self._ns(block.t)
         self.writer.write(self._setpoints, times, times, **SETPOINTS.columns(block))
 
     def events(self, events: Iterable[Event]) -> None:
-        """Events, at most `HOLD_S` older than the last `advance`."""
+        """Write events, at most `HOLD_S` older than the last `advance`."""
         for event in events:
             t = int(self._ns(np.array(event.t)))
             self.writer.event(self._events, t, level=event.level, name=event.name, text=event.text)
 
     def advance(self, t: float) -> None:
-        """All that happened up to `t` (s of flight) has been given; what is `HOLD_S` older may go to the file."""
+        """Declare data complete up to `t` (s of flight): chunks older than `t - HOLD_S` may be written."""
         self.writer.advance(self.epoch_ns + round((t - HOLD_S) * 1e9))
 
     def close(self) -> None:

@@ -85,7 +85,7 @@ class FlightReader(LogReader):
         return t
 
     def truth(self, start: float | None = None, end: float | None = None) -> Truth:
-        """The truth at its logged rate.
+        """Read the truth at its logged rate.
 
         Raises:
             InputError: not in this log.
@@ -99,7 +99,7 @@ class FlightReader(LogReader):
         return Truth(**columns)
 
     def record(self, suite: str, instrument: str, start: float | None = None, end: float | None = None) -> Record:
-        """What an instrument has sent, in the order of arrival.
+        """Read what an instrument has sent, in the order of arrival.
 
         Raises:
             InputError: not in this log.
@@ -127,14 +127,15 @@ class FlightReader(LogReader):
     def suite_blocks(
         self, names: Sequence[str], beside: Callable[[dict[str, np.ndarray]], None] | None = None, *topics: str
     ) -> Iterator[dict[str, SuiteBlock]]:
-        """What the instruments of several suites have sent, by suite, portion by portion in the order of arrival.
+        """Read what several suites have sent, by suite, portion by portion in the order of arrival.
 
         Only what estimators see: states of saturation and temperatures are left out. The first suite also has the true
         attitude, as `reference`, where the log has it.
 
         Args:
             names: the suites.
-            beside: given, before each portion, the messages of `topics` up to the same log time (no `reference` then).
+            beside: callback that receives the messages of `topics` of each portion before the portion itself; there is
+                no `reference` then.
             topics: see `beside`.
 
         Raises:
@@ -193,7 +194,7 @@ class FlightReader(LogReader):
         return Estimates(**columns)
 
     def estimates_in(self, messages: np.ndarray, columns: Collection[str]) -> Estimates:
-        """Estimates from messages of an estimator's state topic, only with columns that are needed.
+        """Make estimates of messages of a state topic, only with the columns that are needed.
 
         Args:
             messages: of a `/est/NAME/state`, as `blocks` gives them.
@@ -213,7 +214,7 @@ class FlightReader(LogReader):
         return Estimates(**{**found, "t": self.seconds(stamps(messages))})
 
     def setpoints(self, start: float | None = None, end: float | None = None) -> Setpoints:
-        """What the pilot asked for."""
+        """Read the set-points of the pilot."""
         array = self.read(SETPOINTS.topic, *self._span(start, end))
         columns = blank(Setpoints, len(array))
         SETPOINTS.put(columns, array)
@@ -221,7 +222,7 @@ class FlightReader(LogReader):
         return Setpoints(**columns)
 
     def events(self) -> list[Event]:
-        """All events in order."""
+        """Read all events in order."""
         array = self.read(EVENTS.topic)
         return [
             Event(float(t), row["level"], row["name"], row["text"])

@@ -8,7 +8,7 @@ from ahrs_sim.log.mcap.reader import LogReader
 
 
 def summary(source: str | Path | Any) -> dict[str, Any]:
-    """The contents of a log, fit for JSON: times in ns since 1970, rates in Hz, the size in bytes.
+    """Summarise the contents of a log, fit for JSON: times in ns since 1970, rates in Hz, the size in bytes.
 
     Args:
         source: path of an MCAP file, or anything open with the properties of a `LogReader`, which is closed.

@@ -116,7 +116,7 @@ class Live:
             channel.log(message, log_time=now_ns)
 
     def close(self) -> None:
-        """Say good-bye to the viewers."""
+        """Close the connections to the viewers."""
         for channel in self._channels.values():
             channel.close()
         if self._server:

@@ -224,12 +224,12 @@ def _texts() -> dict[str, str]:
 
 
 def type_names() -> list[str]:
-    """Every type that can be written, as `package/msg/Type`."""
+    """List every type that can be written, as `package/msg/Type`."""
     return [name.replace("/", "/msg/") for name in _texts()]
 
 
 def definition(type_name: str) -> str:
-    """The text of one type's own definition, without its dependencies.
+    """Give the text of one type's own definition, without its dependencies.
 
     Raises:
         KeyError: not one of `type_names`.
@@ -239,7 +239,7 @@ def definition(type_name: str) -> str:
 
 @functools.cache
 def definitions(type_name: str) -> Definitions:
-    """Parsed definitions of a type and all it needs."""
+    """Parse the definitions of a type and all it needs."""
     everything = f"\n{'=' * 80}\n".join(f"MSG: {name}\n{text}" for name, text in _texts().items())
     return parse_definitions(type_name, f"{definition(type_name)}\n{everything}")
 
@@ -276,7 +276,7 @@ def _differs(expected: np.dtype[Any], found: np.dtype[Any], path: str) -> str:
 
 
 def schema_text(type_name: str) -> str:
-    """The `ros2msg` schema of a type: its definition and, behind 80 `=` each, those of its dependencies."""
+    """Make the `ros2msg` schema of a type: its definition and, behind 80 `=` each, those of its dependencies."""
     first, *rest = definitions(type_name)
     parts = [definition(first), *(f"MSG: {name}\n{definition(name)}" for name in rest)]
     return ("=" * 80 + "\n").join(parts)

@@ -55,18 +55,18 @@ class Route:
     constant: Mapping[str, Any] = field(default_factory=dict)
 
     def channel(self, writer: LogWriter, prefix: str = "") -> LogChannel:
-        """The channel in a new log, its topic behind `prefix`."""
+        """Add the channel to a new log, its topic behind `prefix`."""
         return writer.add_channel(prefix + self.topic, self.type_name, constant=self.constant, frame_id=self.frame)
 
     def columns(self, block: Columns) -> dict[str, np.ndarray]:
-        """Fields of the messages from the columns of a block."""
+        """Take the fields of messages from the columns of a block."""
         return {
             path: getattr(block, place) if isinstance(place, str) else getattr(block, place[0])[:, place[1]]
             for path, place in self.fields.items()
         }
 
     def put(self, columns: dict[str, np.ndarray], array: np.ndarray) -> None:
-        """The other way: an array from `LogReader.read` into the columns of a block, in place."""
+        """Put an array from `LogReader.read` into the columns of a block, in place."""
         for path, place in self.fields.items():
             values = array
             for name in path.split("."):

@@ -105,7 +105,7 @@ class AllanTable:
 def allan_deviation(
     series: np.ndarray, rate: float, *, per_decade: int = 8, overlap: int | None = 64
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Overlapping Allan deviation.
+    """Compute the overlapping Allan deviation.
 
     Args:
         series: (n,) or (n, axes), evenly sampled.
@@ -151,7 +151,7 @@ def _mean_square(theta: np.ndarray, lag: int, chunk: int = 1 << 13) -> float:
 def allan_table(
     series: np.ndarray, rate: float, *, names: Sequence[str] | None = None, unit: str = "", per_decade: int = 8
 ) -> AllanTable:
-    """Allan deviation of a channel with confidence and fitted coefficients.
+    """Compute the Allan deviation of a channel with its confidence and fitted coefficients.
 
     Args:
         series: (n,) or (n, axes), evenly sampled, without gaps; a sensor at rest at constant temperature.
@@ -238,7 +238,7 @@ _SHOWN = {
 
 
 def of_log(path: Path, topics: Sequence[str] = (), map_file: Path | None = None) -> list[Channel]:
-    """Allan tables of the sensors in a log of ours or any recording.
+    """Compute Allan tables of the sensors in a log of ours or in any recording.
 
     The sensors should have stood still: a flight's own motion is not noise. Of a series with gaps or steps of its
     clock, the longest stretch without is taken; what was left out is in the channel.
@@ -299,7 +299,7 @@ class Even:
 
 
 def evenly(header_ns: np.ndarray, log_ns: np.ndarray, values: np.ndarray, where: str) -> Even:
-    """The longest stretch without gaps, missing values and steps of the clock.
+    """Find the longest stretch without gaps, missing values and steps of the clock.
 
     Samples that came late are put in their place, and repeated ones counted once; stamps of another clock than the
     log's are replaced by its times, as in a replay. Coarse stamps and bursts are no gaps: those are found where the
@@ -395,13 +395,13 @@ def _gaps(s: np.ndarray) -> np.ndarray:
 
 
 def as_json(channels: Sequence[Channel]) -> list[dict[str, Any]]:
-    """The tables in types that JSON knows, SI."""
+    """Convert the tables to types that JSON knows, SI."""
     named = ({"topic": c.topic, "sensor": c.sensor, "left_out": c.left_out} for c in channels)
     return [{**name, **c.table.json(c.specified)} for name, c in zip(named, channels, strict=True)]
 
 
 def text(channels: Sequence[Channel]) -> str:
-    """The tables as a person reads them: fitted and, where known, specified side by side."""
+    """Format the tables for a reader: fitted and, where known, specified side by side."""
     lines = []
     for c in channels:
         _, factor, unit = _SHOWN[c.sensor]

@@ -39,7 +39,7 @@ def compare(
     align: str | None = None,
     sync: bool = False,
 ) -> dict[str, Any]:
-    """Errors of every estimator in a log.
+    """Compute errors of every estimator in a log.
 
     Args:
         path: the log.
@@ -134,7 +134,7 @@ def result_of(
 
 
 def attitudes(log: FlightReader, name: str | None) -> History:
-    """The attitude of the truth (None), of an estimator, or of any topic with orientations.
+    """Read the attitude of the truth (None), of an estimator, or of any topic with orientations.
 
     Raises:
         InputError: no such thing in the log.
@@ -156,7 +156,7 @@ def attitudes(log: FlightReader, name: str | None) -> History:
 
 
 def orientations(log: FlightReader, topic: str) -> History:
-    """`q_nb` over time of any topic with orientations, in the order of its stamps.
+    """Read `q_nb` over time of any topic with orientations, in the order of its stamps.
 
     Raises:
         InputError: its type has none, or it says nothing.
@@ -211,7 +211,7 @@ def aligned(
 
 
 def _known_attitudes(log: FlightReader, topic: str) -> tuple[np.ndarray, np.ndarray]:
-    """Times (n,) and attitude (n, 4) of an estimator, where it has one."""
+    """Read times (n,) and attitudes (n, 4) of an estimator, where it has one."""
     blocks = [(log.seconds(stamps(b)), quaternion(b["orientation"])) for b in log.blocks(topic)]
     t, q_nb = (np.concatenate(column) for column in zip(*blocks, strict=True)) if blocks else (np.empty(0),) * 2
     known = np.isfinite(q_nb).all(axis=-1)

@@ -30,7 +30,7 @@ STEEP = math.radians(75.0)
 
 
 def delay(truth: np.ndarray, signal: np.ndarray, dt: float) -> float:
-    """By how many s a signal is later than the truth: the shift at which their cross-correlation peaks.
+    """Estimate by how many s a signal is later than the truth: where their cross-correlation peaks.
 
     The peak is a parabola through the three highest points, which is good to a small part of `dt` for a signal that
     is slow against it.
@@ -64,7 +64,7 @@ def delay(truth: np.ndarray, signal: np.ndarray, dt: float) -> float:
 
 
 def lags(t: np.ndarray, truth: np.ndarray, estimate: np.ndarray) -> tuple[float, float]:
-    """Lag of the attitude and of its rate, s.
+    """Estimate the lag of an attitude and of its rate, s.
 
     Attitude: change of roll, pitch and heading over `WINDOW`; rate: from one sample to the next.
 
@@ -108,7 +108,7 @@ def lags(t: np.ndarray, truth: np.ndarray, estimate: np.ndarray) -> tuple[float,
 def of_log(
     path: Path, *, reference: str | None = None, start: float | None = None, end: float | None = None
 ) -> dict[str, dict[str, float | None]]:
-    """`attitude_lag_ms` and `rate_lag_ms` of every estimator in a log; None: unknown.
+    """Estimate `attitude_lag_ms` and `rate_lag_ms` of every estimator in a log; None: unknown.
 
     Args:
         path: the log.
@@ -150,7 +150,7 @@ def _of(log: FlightReader, name: str, history: metrics.History, low: float, high
 
 
 def table(result: dict[str, dict[str, float | None]]) -> str:
-    """For a reader."""
+    """Format the lags for a reader."""
     width = max(12, *(len(name) + 2 for name in result))
     lines = [f"{'lag, ms':{width}s}{'attitude':>10s}{'rate':>10s}"]
     for name, values in result.items():

@@ -58,7 +58,7 @@ def write(flights: Sequence[FlightTraces], output: Path) -> int:
 
 
 def page(flights: Sequence[FlightTraces]) -> str:
-    """The page of flights already gathered."""
+    """Make the page of flights already gathered."""
     rate = max((_rate(e.t) for f in flights for e in f.estimators.values()), default=COARSE)
     rate = max(COARSE, min([rate, *(_POINTS / (float(f.t[-1] - f.t[0]) + 1.0) for f in flights)]))
     labels = _labels(flights)
@@ -176,7 +176,7 @@ class _Packer:
         return series
 
     def packed(self) -> str:
-        """All series, deflated, base64."""
+        """Pack all series: deflated, in base64."""
         squeeze = zlib.compressobj(6, zlib.DEFLATED, 15, 9, zlib.Z_FILTERED)
         data = squeeze.compress(b"".join(self.parts)) + squeeze.flush()
         return base64.b64encode(data).decode("ascii")
@@ -227,13 +227,13 @@ class _Clock:
         self.t0, self.end, self.packer = t0, end, packer
 
     def put(self, t: np.ndarray, values: np.ndarray, dt: float, step: float | None = None) -> dict[str, Any] | None:
-        """A series on the grid of `dt`."""
+        """Pack a series on the grid of `dt`."""
         n = int((self.end - self.t0) / dt) + 1
         step = _relative_step(values) if step is None else step
         return self.packer.add(_gridded(t, values, self.t0, dt, n), self.t0, dt, step)
 
     def columns(self, t: np.ndarray, values: np.ndarray, dt: float, step: float | None = None) -> list[Any] | None:
-        """The columns (n, k) of something; None when all are empty."""
+        """Pack the columns (n, k) of a series; None when all are empty."""
         series = [self.put(t, column, dt, step) for column in values.T]
         return series if any(series) else None
 

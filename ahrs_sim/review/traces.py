@@ -85,7 +85,7 @@ class EstimatorTrace:
     adjusted: dict[str, Any] = field(default_factory=dict)  # what was taken out before, as `compare` tells it
 
     def worst(self, flight: "FlightTraces") -> Worst | None:
-        """The ten seconds with the largest root mean square error; None when there are not as many."""
+        """Find the ten seconds with the largest root mean square error; None in a shorter flight."""
         total = self.error[:, Measure.TOTAL]
         total = total if np.isfinite(total).any() else self.error[:, Measure.TILT]
         known = np.isfinite(total)
@@ -114,7 +114,7 @@ class EstimatorTrace:
         )
 
     def lost(self) -> float | None:
-        """When the error first exceeded `LOST_DEG` and three sigma for `LOST_S`, s; None: never."""
+        """Find when the error first exceeded `LOST_DEG` and three sigma for `LOST_S`, s; None: never."""
         error = np.abs(self.error[np.clip(np.searchsorted(self.t, self.coarse_t), 0, len(self.t) - 1), EULER])
         limit = np.fmax(math.radians(LOST_DEG), 3 * self.sigma)
         with np.errstate(invalid="ignore"):
@@ -161,7 +161,7 @@ class FlightTraces:
         return "" if found < 0 else PHASES[found]
 
     def step_at(self, t: float) -> str:
-        """What the pilot was doing at a time (s), as the last event says; empty when none does."""
+        """Name the step that the pilot was flying at a time (s); empty when no event tells."""
         begun = [e.text for e in self.events if e.name == "pilot" and e.t <= t and e.text.endswith(" begins")]
         return begun[-1].removesuffix(" begins") if begun else ""
 
@@ -391,7 +391,7 @@ def _suite(
 
 
 def finding(flight: FlightTraces, trace: EstimatorTrace) -> str:
-    """One or two sentences: how wrong an estimator was at its worst, when, and what may be behind it."""
+    """Describe in one or two sentences how wrong an estimator was at its worst, when, and what may be behind it."""
     worst = trace.worst(flight)
     if worst is None:
         return "no attitude for ten seconds on end"

@@ -80,7 +80,7 @@ ALL, NONE = "all errors", "no errors"
 
 @dataclass(frozen=True)
 class Line:
-    """One error, or all or none of them (`alone` only): RMS errors of tilt and heading, rad, NaN: not estimated."""
+    """One row of the budget, RMS of tilt and heading in rad; `without` and `share` are NaN for all and for no errors."""
 
     name: str
     figures: str  # as the grade states them
@@ -105,7 +105,7 @@ class Budget:
     lines: tuple[Line, ...]  # what to buy or calibrate first comes first
 
     def as_json(self) -> dict[str, Any]:
-        """Everything, in degrees, for `--json`."""
+        """Convert the budget to degrees and types that JSON knows."""
 
         def row(line: Line) -> dict[str, Any]:
             degrees = {"alone": line.alone, "without": line.without}
@@ -121,7 +121,7 @@ class Budget:
         }  # fmt: skip
 
     def text(self) -> str:
-        """A table, what to buy or calibrate first on top; what has no effect in one line at the end."""
+        """Format a table: what to buy or calibrate first on top, what has no effect in one line at the end."""
         count = f"{len(self.seeds)} seeds" if len(self.seeds) > 1 else f"seed {self.seeds[0]}"
         head = (
             f"error budget of {self.estimator} ({self.method} on {self.suite}, {self.grade}), {self.scenario}, "
@@ -186,7 +186,7 @@ def make(
     workers: int | None = None,
     progress: Callable[[float, float | None], None] = lambda t, end: None,
 ) -> Budget:
-    """The error budget of an estimator over a scenario.
+    """Make the error budget of an estimator over a scenario.
 
     Args:
         scenario: what is flown, on the true attitude whatever its `[pilot]` says.

@@ -74,7 +74,7 @@ class Variation:
 
     @classmethod
     def read(cls, text: str) -> "Variation":
-        """From `wind.speed_mps=uniform:0..8`.
+        """Read a variation from `wind.speed_mps=uniform:0..8`.
 
         Raises:
             InputError: it is not of one of the forms in `DISTRIBUTIONS`.
@@ -95,7 +95,7 @@ class Variation:
         return cls(key, kind, values)
 
     def draw(self, seed: int, run: int) -> Any:
-        """The value of a run, for kinds whose runs are independent."""
+        """Draw the value of a run, for kinds whose runs are independent."""
         rng = seeds.generator(seed, "campaign", self.key, str(run))
         if self.kind == "uniform":
             return float(rng.uniform(*self.values))
@@ -105,7 +105,7 @@ class Variation:
 
 
 def span(text: str, where: str) -> tuple[float, float]:
-    """`LOW..HIGH`.
+    """Read `LOW..HIGH`.
 
     Raises:
         InputError: it is not that, or empty.
@@ -175,7 +175,7 @@ class Plan:
 
     @classmethod
     def make(cls, scenario: Scenario, runs: int, vary: Sequence[str] = ()) -> "Plan":
-        """A plan for a checked scenario.
+        """Make a plan for a checked scenario.
 
         Raises:
             InputError: a variation that cannot be understood or does not fit the scenario.
@@ -198,7 +198,7 @@ class Plan:
         return [Variation.read(text) for text in self.vary]
 
     def values(self) -> Callable[[int], dict[str, Any]]:
-        """A function from the number of a run to its varied values."""
+        """Make the function from the number of a run to its varied values."""
         variations = self._variations()
         grids = [v for v in variations if v.kind == "grid"]
         cells = list(itertools.product(*(v.values for v in grids)))
@@ -224,7 +224,7 @@ class Plan:
         return np.asarray(qmc.scale(sampler.random(self.runs), low, high))
 
     def run(self, number: int, values: Mapping[str, Any] | None = None) -> Run:
-        """One run of the campaign."""
+        """Make one run of the campaign."""
         data = copy.deepcopy(dict(self.data))
         for key, value in (self.values()(number) if values is None else values).items():
             put(data, key, value)
@@ -232,7 +232,7 @@ class Plan:
         return Run(number, self.name, self.where, data, band_s=self.band_s, code=self.code)
 
     def manifest(self) -> dict[str, Any]:
-        """All of it for a file; the scenario as TOML, which JSON could not hold."""
+        """Write the plan as plain data; the scenario as TOML, because JSON cannot hold it."""
         scenario = parse(dict(self.data), self.where, self.name, gate=Gate(self.code))
         return {
             "format": 1,
@@ -247,7 +247,7 @@ class Plan:
 
     @classmethod
     def from_manifest(cls, manifest: Mapping[str, Any], where: str) -> "Plan":
-        """The plan kept in a manifest."""
+        """Read the plan kept in a manifest."""
         table = Table(dict(manifest), where)
         vary = table.value("vary")
         if not (isinstance(vary, list) and all(isinstance(text, str) for text in vary)):
@@ -304,7 +304,7 @@ class Store:
         return f"{self.root}/{name}"
 
     def read(self, name: str) -> bytes | None:
-        """A file's content, None when it is not there."""
+        """Read a file; None when it is not there."""
         try:
             return self.remote.cat_file(self._path(name)) if self.remote else Path(self._path(name)).read_bytes()
         except FileNotFoundError:
@@ -313,7 +313,7 @@ class Store:
             raise InputError(f"{self._path(name)}: cannot be read: {error.strerror or error}") from None
 
     def write(self, name: str, data: bytes) -> None:
-        """A whole file or none: object stores put at once, a local file is renamed when it is complete."""
+        """Write a whole file or none: object stores put at once, a local file is renamed when it is complete."""
         try:
             if self.remote:
                 self.remote.makedirs(self.root, exist_ok=True)
@@ -328,7 +328,7 @@ class Store:
             raise InputError(f"{self._path(name)}: cannot be written: {error.strerror or error}") from None
 
     def files(self) -> list[str]:
-        """Names of the data files, oldest first."""
+        """List the data files, oldest first."""
         if self.remote:
             self.remote.invalidate_cache()
             found = self.remote.glob(self._path("runs-*.parquet"))
@@ -338,7 +338,7 @@ class Store:
     # -- plan
 
     def plan(self) -> Plan:
-        """The plan of the campaign that lies here.
+        """Read the plan of the campaign in this folder.
 
         Raises:
             InputError: there is none.
@@ -408,7 +408,7 @@ class Store:
         self.write(f"runs-{number:06d}.parquet", sink.getvalue().to_pybytes())
 
     def column_names(self) -> list[str]:
-        """All columns of the data set, in the order of their first appearance."""
+        """List all columns of the data set, in the order of their first appearance."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -418,7 +418,7 @@ class Store:
         return list(names)
 
     def table(self, columns: Sequence[str] | None = None) -> "pyarrow.Table":
-        """The data set, or some of its columns, by run and estimator; a column that a file has not is null there."""
+        """Read the data set, or some of its columns, by run and estimator; null where a file lacks a column."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -436,7 +436,7 @@ class Store:
         return table.sort_by(keys)
 
     def done(self) -> set[int]:
-        """Numbers of the runs that are in the data set."""
+        """Find the numbers of the runs in the data set."""
         return set(self.table(["run"])["run"].to_pylist())
 
 
@@ -511,7 +511,7 @@ def keep_logs(plan: Plan, numbers: Sequence[int], folder: Path, pool: Pool) -> I
 
 
 def scenario_of(place: str, number: int, gate: Gate = _FOREIGN) -> Scenario:
-    """The scenario of one run of a campaign, as it was flown; its code from outside runs as `gate` allows.
+    """Read the scenario of one run of a campaign, as it was flown; its code from outside runs as `gate` allows.
 
     Raises:
         InputError: no campaign there, or no such run in it.

@@ -16,7 +16,7 @@ _ROWS = 15  # lines of a table over time
 
 
 def make(store: Store, metric: str = METRIC) -> dict[str, Any]:
-    """The report as plain data for JSON; None: not known.
+    """Make the report as plain data for JSON; None: not known.
 
     Args:
         store: of the campaign.
@@ -118,7 +118,7 @@ def _bands(store: Store, estimator: str, column: str) -> dict[str, list[float | 
 
 
 def worst(columns: dict[str, np.ndarray], metric: str, count: int) -> list[tuple[int, float]]:
-    """Runs with the largest value of a metric in any estimator, and that value, worst first; failed: infinite."""
+    """Find the runs with the largest value of a metric in any estimator, worst first; failed ones: infinite."""
     value: dict[int, float] = {}
     figures = columns.get(metric, np.full(len(columns["run"]), np.nan))
     for run, estimator, figure in zip(columns["run"], columns["estimator"], figures, strict=True):
@@ -145,7 +145,7 @@ def worst_runs(store: Store, metric: str, count: int) -> list[int]:
 
 
 def text(report: dict[str, Any]) -> str:
-    """The report for a reader."""
+    """Format the report for a reader."""
     out = io.StringIO()
     print(f"{report['campaign']}: {report['runs']} of {report['of']} runs, {report['failed']} failed", file=out)
     for error, count in report["errors"]:
@@ -209,7 +209,7 @@ def _over_time(report: dict[str, Any], width: int, out: io.StringIO) -> None:
 
 
 def drawn(report: dict[str, Any]) -> bytes | None:
-    """95 % bands over time and distributions over runs as a PNG; None without matplotlib or anything to draw."""
+    """Draw 95 % bands over time and distributions over runs as a PNG; None without matplotlib or anything to draw."""
     try:
         from matplotlib.figure import Figure
         from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter

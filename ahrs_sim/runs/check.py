@@ -76,7 +76,7 @@ class Tolerance:
     heading_degrees: float
 
     def of(self, figure: str, before: float) -> float:
-        """The largest difference from `before` that does not count."""
+        """Compute the largest difference from `before` that counts as no change."""
         axis = figure.rpartition(".")[2]
         if axis == "availability":
             return 0.01
@@ -138,7 +138,7 @@ class Result:
         return not self.errors and not any(row.result in (WORSE, GONE) for row in self.rows)
 
     def changed(self) -> list[Row]:
-        """Rows worth a line, worst first."""
+        """Select the rows that have changed, worst first."""
         order = {WORSE: 0, GONE: 1, BETTER: 2, NEW: 3}
         return sorted((r for r in self.rows if r.result in order), key=lambda r: order[r.result])
 
@@ -493,7 +493,7 @@ def _collapsed(rows: Sequence[Row]) -> list[Row]:
 
 
 def summary(result: Result) -> str:
-    """One line: how many figures are the same, better, worse."""
+    """Count in one line how many figures are the same, better, worse."""
     count = Counter(row.result for row in result.rows)
     text = ", ".join(f"{count[v]} {v}" for v in (SAME, BETTER, WORSE, NEW, GONE) if count[v] or v in (SAME, WORSE))
     failed = f"; {len(result.errors)} flights failed" if result.errors else ""
@@ -504,7 +504,7 @@ def summary(result: Result) -> str:
 
 
 def table(result: Result, *, everything: bool = False) -> str:
-    """For a reader: a line a flight and estimator, then the figures that have changed (or all)."""
+    """Format the result for a reader: a line a flight and estimator, then the figures that have changed (or all)."""
     out = io.StringIO()
     print(f"{'flight':18s}{'estimator':22s}{'tilt, deg':>20s}{'heading, deg':>22s}   result", file=out)
     groups: dict[tuple[str, str], list[Row]] = {}
@@ -538,7 +538,7 @@ def _pair(row: Row | None) -> str:
 
 
 def markdown(result: Result) -> str:
-    """For a comment on a pull request."""
+    """Format the result for a comment on a pull request."""
     lines = [f"### Accuracy: {'passed' if result.passed else 'failed'}", "", summary(result)]
     shown = _collapsed(result.changed())
     if shown:
@@ -551,7 +551,7 @@ def markdown(result: Result) -> str:
 
 
 def as_json(result: Result) -> dict[str, Any]:
-    """For a machine: JSON has no NaN, so None."""
+    """Convert the result for a machine: JSON has no NaN, so None."""
     rows = [
         {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in {**asdict(r), "change": r.change}.items()}
         for r in result.rows
@@ -566,7 +566,7 @@ def as_json(result: Result) -> dict[str, Any]:
 
 
 def junit(result: Result) -> str:
-    """For CI systems: a test case a flight and estimator, and one a failed flight."""
+    """Format the result for CI systems: a test case a flight and estimator, and one a failed flight."""
     from xml.etree import ElementTree as Xml
 
     suite = Xml.Element("testsuite", name=f"ahrs-sim check {result.suite}")

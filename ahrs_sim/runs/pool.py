@@ -45,7 +45,7 @@ class Run:
     code: tuple[str, ...] = ()  # from outside, that its estimators may run
 
     def scenario(self) -> Scenario:
-        """The checked scenario."""
+        """Parse and check the scenario."""
         return scenarios.parse(dict(self.data), self.where, self.name, gate=scenarios.Gate(self.code))
 
 
@@ -83,7 +83,7 @@ def _flown(scenario: Scenario, log: Path | None, band_s: float | None) -> dict[s
 
 
 def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Figures of one estimator under one name each: `tilt_rmse_deg`, `straight.tilt_rmse_deg`.
+    """Flatten the figures of one estimator to one name each: `tilt_rmse_deg`, `straight.tilt_rmse_deg`.
 
     None becomes NaN, what is neither a number nor a list of numbers is left out.
     """
@@ -105,7 +105,7 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def workers_here() -> int:
-    """Processors that this process may use."""
+    """Count the processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -121,14 +121,14 @@ class Pool:
         self.executor = self.make()
 
     def renew(self) -> None:
-        """New workers instead of dead ones."""
+        """Replace dead workers by new ones."""
         self.executor.shutdown(wait=False, cancel_futures=True)
         self.executor = self.make()
 
 
 @contextlib.contextmanager
 def local_pool(workers: int | None = None) -> Iterator[Pool]:
-    """Persistent processes on this machine, one per processor by default."""
+    """Start persistent processes on this machine, one per processor by default."""
     count = workers or workers_here()
     context = multiprocessing.get_context("spawn")
     pool = Pool(lambda: futures.ProcessPoolExecutor(count, mp_context=context, initializer=_start), count)
@@ -161,7 +161,7 @@ def _kill(executor: futures.Executor) -> None:
 
 @contextlib.contextmanager
 def dask_pool(address: str) -> Iterator[Pool]:
-    """The workers of a Dask cluster.
+    """Connect to the workers of a Dask cluster.
 
     Raises:
         InputError: Dask is not installed, or nothing answers at `address`.
@@ -181,7 +181,7 @@ def dask_pool(address: str) -> Iterator[Pool]:
 
 
 def pool(workers: int | None = None, scheduler: str | None = None) -> contextlib.AbstractContextManager[Pool]:
-    """Local processes, or a cluster when there is a scheduler's address."""
+    """Start local processes, or connect to a cluster when there is a scheduler's address."""
     return dask_pool(scheduler) if scheduler else local_pool(workers)
 
 

@@ -33,7 +33,7 @@ class Knob:
 
     @classmethod
     def read(cls, text: str, scenario: Scenario) -> "Knob":
-        """From `ckf-chr.accel_sigma=0.5..5`.
+        """Read a knob from `ckf-chr.accel_sigma=0.5..5`.
 
         Raises:
             InputError: it is not of that form, or the scenario has no such estimator.
@@ -48,7 +48,7 @@ class Knob:
         return cls(estimator, setting, *span(limits, f"--tune {text}"))
 
     def value(self, x: float) -> float:
-        """The setting at `x` in [0, 1]."""
+        """Compute the setting at `x` in [0, 1]."""
         x = min(1.0, max(0.0, x))
         if self.low > 0 and self.high / self.low > DECADE:
             return self.low * math.exp(x * math.log(self.high / self.low))
@@ -70,7 +70,7 @@ class Tuned:
     runs: int
 
     def text(self) -> str:
-        """For a reader."""
+        """Format the result for a reader."""
         lines = [f"{key} = {value:.6g}" for key, value in self.settings.items()]
         outcome = "better" if self.low > 0 else "worse" if self.high < 0 else "no significant difference"
         lines.append(

@@ -24,7 +24,7 @@ class Fitting:
     start_lla: np.ndarray  # (3,) rad, rad, m
     position: np.ndarray  # m, FRD from where the centre of gravity is at first
     mount: np.ndarray  # C_sb (3, 3), body to sensor axes, known to the unit
-    turned: np.ndarray  # (3, 3) from the axes that it believes in to those that it has
+    turned: np.ndarray  # (3, 3) from the assumed sensor axes to the true ones (mounting error)
     where: str  # for messages
 
     def figures(self, section: str, cls: type[FiguresT]) -> FiguresT:

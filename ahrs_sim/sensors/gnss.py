@@ -68,7 +68,7 @@ class Sky:
 
 
 class Lock:
-    """Whether a receiver has what it needs: lost at once, had again after a while."""
+    """Satellite lock: lost at once, regained after a while."""
 
     def __init__(self, least: int, wait: float, period: float) -> None:
         self._least = least

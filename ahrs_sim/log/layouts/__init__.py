@@ -49,7 +49,7 @@ def of_log(path: Path, output: Path) -> Path:
 
 
 def build(suites: Mapping[str, Sequence[str]], estimators: Sequence[str]) -> dict[str, Any]:
-    """A layout, fit for JSON: 3-D and events beside attitude, errors, sensors and biases.
+    """Make a layout, fit for JSON: 3-D and events beside attitude, errors, sensors and biases.
 
     Args:
         suites: instruments (keys of `topics.INSTRUMENTS`) by suite.

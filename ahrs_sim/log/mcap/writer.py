@@ -68,10 +68,10 @@ class Listener(Protocol):
     """Who is given every message of a log on its way to the file, in the order of the file (`ahrs_sim.log.live`)."""
 
     def begin(self, topics: Sequence[Topic]) -> None:
-        """What topics there are; before the first message."""
+        """Announce the topics, before the first message."""
 
     def send(self, channels: np.ndarray, log_time_ns: np.ndarray, messages: Sequence[memoryview]) -> None:
-        """Messages: numbers of their topics (n,), log times (n,) ns rising, and their CDR."""
+        """Send messages: numbers of their topics (n,), log times (n,) ns rising, and their CDR."""
 
 
 class LogChannel:
@@ -89,7 +89,7 @@ class LogChannel:
         self.template = np.frombuffer(_record_head(number, len(payload)) + payload, np.uint8)
 
     def place(self, path: str) -> Place:
-        """Where the field `path` lives in a message."""
+        """Find where the field `path` lies in a message."""
         try:
             return self.places[path]
         except KeyError:
@@ -182,7 +182,7 @@ class LogWriter:
     def add_channel(
         self, topic: str, type_name: str, *, constant: Mapping[str, Any] | None = None, **shorthand: str
     ) -> LogChannel:
-        """A new topic.
+        """Add a topic.
 
         Args:
             topic: `/like/this`.
@@ -218,11 +218,11 @@ class LogWriter:
         return carried
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """A record of names and values: seeds, versions, sensor specifications."""
+        """Write a record of names and values: seeds, versions, sensor specifications."""
         self._metadata[name] = {key: str(value) for key, value in values.items()}
 
     def attach(self, name: str, data: bytes, media_type: str = "text/plain") -> None:
-        """A file that travels with the log."""
+        """Attach a file to the log."""
         self._attachments.append(
             Attachment(create_time=self._epoch_ns, log_time=self._epoch_ns, name=name, media_type=media_type, data=data)
         )
@@ -268,7 +268,7 @@ class LogWriter:
     # ------------------------------------------------------------------------------------------- messages
 
     def write(self, channel: LogChannel, log_time_ns: np.ndarray, stamp_ns: np.ndarray, **columns: Any) -> None:
-        """Messages of one channel, in the order of their sequence numbers.
+        """Write messages of one channel, in the order of their sequence numbers.
 
         Args:
             channel: from `add_channel`.
@@ -297,7 +297,7 @@ class LogWriter:
         self._append(channel, rows, log_time_ns, stamp_ns)
 
     def event(self, channel: LogChannel, log_time_ns: int, stamp_ns: int | None = None, **fields: Any) -> None:
-        """One message whose strings and sequences are its own: slow, for rare things.
+        """Write one message whose strings and sequences are its own: slow, for rare things.
 
         Args:
             channel: from `add_channel`.
