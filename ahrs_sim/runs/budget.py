@@ -80,7 +80,7 @@ ALL, NONE = "all errors", "no errors"
 
 @dataclass(frozen=True)
 class Line:
-    """One row of the budget, RMS of tilt and heading in rad; `without` and `share` are NaN for all and for no errors."""
+    """One row of the budget, RMS of tilt and heading in rad; `without` and `share` are NaN of all and no errors."""
 
     name: str
     figures: str  # as the grade states them
