@@ -163,22 +163,22 @@ def _worst(figure: "Figure", flight: FlightTraces) -> "Figure":
     """Heading, pitch and roll of all estimators in the worst ten seconds of each."""
     axes = figure.subplots(max(1, len(flight.estimators)), 3, squeeze=False)
     truth = _continuous(flight.t, flight.q_nb)
-    for row, judged in zip(axes, flight.estimators.values(), strict=True):
-        window = judged.worst(flight)
+    for row, chosen in zip(axes, flight.estimators.values(), strict=True):
+        window = chosen.worst(flight)
         for ax, k in zip(row, (2, 1, 0), strict=True):
             if window is None:
                 ax.set_axis_off()
                 continue
             for e in flight.estimators.values():
                 rows = (e.t >= window.start) & (e.t <= window.end)
-                width = 1.6 if e is judged else 0.8
+                width = 1.6 if e is chosen else 0.8
                 ax.plot(e.t[rows], _estimated(flight, e, rows)[:, k], linewidth=width, label=e.name)
             rows = (flight.t >= window.start) & (flight.t <= window.end)
             ax.plot(flight.t[rows], truth[rows, k], "k--", linewidth=1.2, label=flight.reference)
             _label(ax, f"{_AXES[k]}, deg")
         _modulo(row[0])
         row[0].set_title(
-            f"worst of {judged.name}" + (f": {window.phase}" if window and window.phase else ""), fontsize=9, loc="left"
+            f"worst of {chosen.name}" + (f": {window.phase}" if window and window.phase else ""), fontsize=9, loc="left"
         )
     return _finish(figure, flight, axes.ravel(), f"{flight.label}: the worst ten seconds of each estimator")
 

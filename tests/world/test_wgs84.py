@@ -6,6 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ahrs_sim.world import wgs84
+from ahrs_sim.world.gravity import normal_gravity
+from estimators import earth
 
 latitudes = st.floats(-1.57, 1.57)
 longitudes = st.floats(-3.14, 3.14)
@@ -64,3 +66,13 @@ def test_offset_is_where_one_has_gone():
 def test_earth_rate_points_to_the_pole():
     assert wgs84.earth_rate_n(np.array(np.pi / 2)) == pytest.approx([0.0, 0.0, -7.292115e-5])
     assert wgs84.earth_rate_n(np.array(0.0)) == pytest.approx([7.292115e-5, 0.0, 0.0])
+
+
+def test_navigators_have_the_same_earth() -> None:
+    """`estimators` stands alone and has kernels of its own: the same ellipsoid, rotation and gravity."""
+    assert [earth.A, earth.EARTH_RATE] == [wgs84.A, wgs84.EARTH_RATE]
+    assert pytest.approx(wgs84.E2, rel=1e-11) == earth.E2
+    for latitude, height in ((0.0, 0.0), (0.8, 500.0), (-1.4, 9000.0)):
+        place = np.array([latitude, 0.1, height])
+        assert earth.radii(latitude) == pytest.approx(wgs84.radii(np.array(latitude)), rel=1e-11)
+        assert earth.normal_gravity(latitude, height) == pytest.approx(float(normal_gravity(place)), rel=1e-11)
