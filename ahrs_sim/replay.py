@@ -173,6 +173,30 @@ def accuracy(
     return compare.compare(output, start=start, end=end, align=align)
 
 
+def unknown(output: Path, result: Mapping[str, Any]) -> list[str]:
+    """Say why figures of a log made by `replay` are missing, a line each."""
+    lines = []
+    rows = result["estimators"]
+    silent = [name for name, values in rows.items() if values["tilt_rmse_deg"] is None]
+    lines += [
+        f"{name}: no heading in its estimates, or none in the reference"
+        for name, values in rows.items()
+        if values["heading_rmse_deg"] is None and name not in silent
+    ]
+    if not silent:
+        return lines
+    with FlightReader(output) as log:
+        for name in silent:
+            estimates = log.estimates(name)
+            seconds = float(estimates.t[-1] - estimates.t[0]) if len(estimates) else 0.0
+            if np.isfinite(estimates.down_b).any():
+                why = "none of its attitudes is within the time of the reference"
+            else:
+                why = f"no attitude: never aligned in {seconds:.0f} s; it takes align_s of standing, or motion for 5 s"
+            lines.append(f"{name}: {why}")
+    return lines
+
+
 def evaluate(
     path: Path,
     *,

@@ -3,9 +3,10 @@
 Second by second the stretch is judged: still when gyro and accelerometer scatter no more than their noise explains, the
 gyro's mean could be its bias and the accelerometer's mean gravity. `align_s` still seconds in a row give the alignment:
 attitude by TRIAD from mean specific force and mean field (down exactly, heading from the field), bias from the mean
-rate, noise covariances from the scatter. A second that is not still starts the stretch again. Without stillness the
-alignment is coarse, from the means of the last second, with a large covariance: after `MOVING_S` when no second was
-still (started in the air), after `wait_s` in any case. Moving, specific force is not gravity: with an airspeed what
+rate, noise covariances from the scatter. Motion before that ends it, too, when there was a still second: what was still
+is the alignment, with larger sigmas, and is turned on by the gyro to where the motion has come. Without stillness the
+alignment is coarse, from the means of the last second, with a large covariance, after `MOVING_S` (started in the air).
+Moving, specific force is not gravity: with an airspeed what
 a coordinated flight adds, w x v + dv/dt, is taken off it, and with GNSS two velocities say it in navigation axes, f_n =
 dv_n/dt - g. That brings a start in a turn from the angle of bank to a few degrees.
 """
@@ -35,6 +36,7 @@ ALIGNED = {name: setting for name, setting in SETTINGS.items() if name != "initi
 """For models without the paper's start."""
 
 MOVING_S = 5.0  # s
+SHORT_TILT, SHORT_RATE = math.radians(2.0), math.radians(0.5)  # rad s, rad: over the length, of a stretch cut short
 GYRO_SCATTER, ACCEL_SCATTER = (
     math.radians(0.5),
     0.15,
@@ -96,17 +98,22 @@ class Stretch(Record):
     stretch: Moments  # since the stretch began
     second: Moments  # of the present second
     aids: Aids  # of the present second
+    kept: Moments  # of the stretch up to its last still second
+    kept_s: Number  # s, its length; 0: none
+    turned: Annotated[np.ndarray, shaped(4)]  # attitude now from that at its end, by the gyro
+    cut_short: Flag  # the alignment is `kept`
 
     @classmethod
     def make(cls) -> "Stretch":
         """Nothing seen."""
         made = cls.nans()
         for name in Moments.dtype.names or ():
-            made.data["stretch"][name] = made.data["second"][name] = 0.0
+            made.data["stretch"][name] = made.data["second"][name] = made.data["kept"][name] = 0.0
+        made.data["kept_s"], made.data["turned"] = 0.0, (1.0, 0.0, 0.0, 0.0)
         return made
 
 
-FLYING, MOVING = 8.0, 3.0  # m/s: above, an airspeed is not wind on the ground, a speed not noise of the receiver
+FLYING, MOVING = 8.0, 5.0  # m/s: above, an airspeed is not wind on the ground, a speed not noise of the receiver
 INCIDENCE = 0.05  # rad, of an aeroplane in cruise
 ALIGNING, STILL, COARSE = range(3)
 STRETCH = Stretch.dtype
@@ -198,6 +205,19 @@ def _gather(m: Moments, row: Sample, imu: bool, mag: bool) -> None:
 
 
 @inner
+def _keep(s: Stretch, t: float) -> None:
+    """Keep what the stretch says up to a still second that ends at time t."""
+    s.kept.samples, s.kept.fields = s.stretch.samples, s.stretch.fields
+    for i in range(9):
+        s.kept.mean[i] = s.stretch.mean[i]
+        for j in range(3):
+            s.kept.spread[i, j] = s.stretch.spread[i, j]
+    s.kept_s = t - s.stretch_t
+    s.turned[0] = 1.0
+    s.turned[1] = s.turned[2] = s.turned[3] = 0.0
+
+
+@inner
 def _end_second(
     s: Stretch, t: float, align_s: float, wait_s: float, gyro_limit: float, accel_limit: float, gravity: float
 ) -> bool:
@@ -207,6 +227,11 @@ def _end_second(
         if t - s.stretch_t >= align_s:
             s.phase = STILL
             return True
+        _keep(s, t)
+    elif s.kept_s > 0.0:
+        s.cut_short = True
+        s.phase = STILL
+        return True
     else:  # the stretch starts again, unless there has been enough of that
         waited = t - s.began_t
         if s.second.samples > 0.0 and (waited >= wait_s or (waited >= MOVING_S and not s.was_still)):
@@ -237,9 +262,10 @@ def _align(owner: Any, kernel: Any) -> Any:
             t = row.t
             if math.isnan(s.began_t):
                 s.began_t = s.stretch_t = s.second_t = t
-                s.was_still = False
+                s.was_still = s.cut_short = False
             elif t <= s.last_t:
                 continue
+            dt = t - s.last_t
             s.last_t = t
             if t - s.second_t >= 1.0 and _end_second(s, t, align_s, wait_s, gyro_limit, accel_limit, gravity):
                 return k
@@ -248,6 +274,8 @@ def _align(owner: Any, kernel: Any) -> Any:
             for i in range(3):
                 imu &= plausible(row.gyro_b[i], MAX_RATE) and plausible(row.accel_b[i], MAX_FORCE)
                 mag &= plausible(row.mag_b[i], MAX_FIELD)
+            if imu and s.kept_s > 0.0 and dt < 1.0:
+                turn(s.turned, dt * row.gyro_b[0], dt * row.gyro_b[1], dt * row.gyro_b[2], s.turned)
             _gather(s.stretch, row, imu, mag)
             _gather(s.second, row, imu, mag)
         return count
@@ -289,7 +317,8 @@ def _motion(s: Stretch, still: bool, rate: np.ndarray, force: np.ndarray, gravit
 
 def conclude(s: Stretch, still: bool, site: Site, sensors: SensorInfo) -> Alignment:
     """Conclude the alignment from what `align` has gathered: the whole stretch when still, else the last second."""
-    seen: Any = s.stretch if still else s.second
+    cut = still and bool(s.cut_short)
+    seen: Any = s.kept if cut else s.stretch if still else s.second
     aids: Any = s.aids
     rate, force, field = seen.mean[0:3], seen.mean[3:6], seen.mean[6:9]
     mag_n = np.array(site.mag_n, float)
@@ -305,6 +334,10 @@ def conclude(s: Stretch, still: bool, site: Site, sensors: SensorInfo) -> Alignm
         middle = q_nb.copy()
         half = 0.5 * (s.last_t - s.second_t)
         turn(middle, half * rate[0], half * rate[1], half * rate[2], q_nb)
+    if cut:  # on to where the gyro has turned it since, less the bias for as long
+        at_rest, since = q_nb.copy(), s.last_t - s.stretch_t - s.kept_s
+        multiply(at_rest, s.turned, q_nb)
+        turn(q_nb.copy(), *(-since * rate), q_nb)
     # velocity and place, where an aid says them: a filter that starts in motion needs them
     air_n = nothing.copy()
     if motion.flying and has_heading:
@@ -312,6 +345,9 @@ def conclude(s: Stretch, still: bool, site: Site, sensors: SensorInfo) -> Alignm
     moving = not still and math.isfinite(aids.vel1_t)
     placed = moving and on_earth(*aids.lla)
     sigma_n, bias, bias_sigma = _sigmas(still, aided, has_heading, seen, site, sensors)
+    if cut:  # a slow turn or a steady push may have passed for standing
+        sigma_n = np.hypot(sigma_n, SHORT_TILT / s.kept_s * np.array([1.0, 1.0, _dip_factor(site)]))
+        bias_sigma = np.hypot(bias_sigma, SHORT_RATE / s.kept_s)
 
     def covariance(sensor: int, n: float) -> np.ndarray:
         block = seen.spread[3 * sensor : 3 * sensor + 3]
@@ -350,6 +386,11 @@ def _sigmas(
     return np.array([tilt, tilt, heading if has_heading else NO_HEADING]), bias, np.full(3, sigma)
 
 
+def _dip_factor(site: Site) -> float:
+    """Error of heading by that of the vertical it is levelled with."""
+    return abs(site.mag_n[2]) / max(math.hypot(site.mag_n[0], site.mag_n[1]), 1e-7)
+
+
 def _two_vectors(
     force_b: np.ndarray, field_b: np.ndarray, force_n: np.ndarray, mag_n: np.ndarray, q_nb: np.ndarray
 ) -> bool:
@@ -374,5 +415,6 @@ def attitude_block(alignment: Alignment) -> np.ndarray:
     C_bn = np.empty((3, 3))
     attitude_matrix(alignment.q_nb, C_bn)
     X = np.array([[-b, -c, -d], [a, -d, c], [d, a, -b], [-c, b, a]])
-    block: np.ndarray = 0.25 * X @ C_bn @ np.diag(alignment.sigma_n**2) @ C_bn.T @ X.T
+    turned = np.einsum("ij,jk->ik", X, C_bn)  # no BLAS, whose last digit depends on the processor
+    block: np.ndarray = 0.25 * np.einsum("ij,j,kj->ik", turned, alignment.sigma_n**2, turned)
     return block

@@ -1,7 +1,8 @@
 """A filter on a model as an object: alignment, then the estimation loop, block by block."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from types import ModuleType
 from typing import Any, Protocol
 
@@ -21,6 +22,8 @@ from estimators.run import run, screen
 from estimators.types import Estimates, Samples, SensorInfo, Site
 
 STATE_VERSION = 1
+LONGEST_GAP = 5.0
+"""s: after a longer gap the attitude is aligned anew, since no prediction stands for the rates that are missing."""
 
 
 class Estimator(Protocol):
@@ -110,11 +113,28 @@ class FilterEstimator:
                 Nothing of the block has been used then.
         """
         rows = pack(samples)
-        n, done = len(rows), 0
+        n = len(rows)
         if self._late:
             self._to_gyro_time(*passed(rows), n, *self._delays)
         self._check_stamps(rows)
         out = blank_estimates(n)
+        for first, end, anew in self._pieces(rows["t"]):
+            if anew:
+                self.reset()
+            self._process(rows[first:end], out[first:end])
+        return unpack(out)
+
+    def _pieces(self, t: np.ndarray) -> Iterator[tuple[int, int, bool]]:
+        """Cut times (n,) at gaps longer than `LONGEST_GAP`: first and last + 1 of each piece, whether to begin anew."""
+        last = float(self._stretch.last_t if self._carry is None else self._carry.clock)
+        cuts = np.flatnonzero(np.diff(t, prepend=last) > LONGEST_GAP)
+        edges = [0, *(int(c) for c in cuts if c > 0), len(t)]
+        for first, end in pairwise(edges):
+            yield first, end, first in cuts
+
+    def _process(self, rows: np.ndarray, out: np.ndarray) -> None:
+        """Estimate rows without a long gap into estimates."""
+        n, done = len(rows), 0
         if self._carry is None:
             settings = self.settings
             limits_ = settings["align_s"], settings["wait_s"], *self._limits, self.site.gravity
@@ -126,7 +146,6 @@ class FilterEstimator:
             self._estimate(rows, out, done)
             if self._late:
                 self._to_stamp_time(*passed(rows, out), done, n, *self._delays[:2], self.site.gravity)
-        return unpack(out)
 
     def _check_stamps(self, rows: np.ndarray) -> None:
         last = float(self._stretch.last_t if self._carry is None else self._carry.clock)

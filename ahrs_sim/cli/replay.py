@@ -100,6 +100,7 @@ def run(arguments: argparse.Namespace) -> None:
         if notes and not arguments.json:
             print("\n".join(notes), end="\n\n")
         result = replay.accuracy(output, start=arguments.start, end=arguments.end, align=arguments.align)
+        missing = replay.unknown(output, result) if result else []
     if result is None:
         print("no truth and no reference attitude in it: nothing to compare with", file=sys.stderr)
         return
@@ -107,6 +108,8 @@ def run(arguments: argparse.Namespace) -> None:
 
     result["log"] = str(arguments.output or arguments.log)
     print(json.dumps(result, indent=1) if arguments.json else compare.table(result, details=arguments.all))
+    if missing and not arguments.json:
+        print("\n".join(missing))
     if arguments.output and not arguments.json:
         print(arguments.output)
     if failure:

@@ -30,6 +30,7 @@ from ahrs_sim.sensors.records import (
     SuiteBlock,
     VelocityRecord,
 )
+from estimators.estimator import LONGEST_GAP
 from estimators.types import blank
 
 HOLD_NS = 10**9
@@ -375,6 +376,7 @@ class _Queue:
         if math.isnan(self._interval):
             self._interval = float(np.median(steps))
         self._counts["imu: gaps"] += int(np.sum(steps > GAP * self._interval))
+        self._counts["imu: gaps after which estimators align anew"] += int(np.sum(steps > 1e9 * LONGEST_GAP))
 
 
 def _picked(block: Any, rows: np.ndarray) -> Any:

@@ -233,7 +233,7 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
     x[:4], x[4:] = alignment.q_nb, alignment.gyro_bias
     C_bn = np.empty((3, 3))
     attitude_matrix(alignment.q_nb, C_bn)
-    P[ERROR, ERROR] = 0.25 * C_bn @ np.diag(alignment.sigma_n**2) @ C_bn.T + 1e-12 * np.eye(3)
+    P[ERROR, ERROR] = 0.25 * np.einsum("ij,j,kj->ik", C_bn, alignment.sigma_n**2, C_bn) + 1e-12 * np.eye(3)
     P[BIAS, BIAS] = np.diag(alignment.gyro_bias_sigma**2)
     P_restart[ERROR, ERROR] = 0.1 * np.eye(3)
     P_restart[BIAS, BIAS] = (sensors.gyro_bias**2 + 1e-8) * np.eye(3)

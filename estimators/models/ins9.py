@@ -405,7 +405,7 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
     x[:4], x[4:7] = alignment.q_nb, site.lla
     C_bn = np.empty((3, 3))
     attitude_matrix(alignment.q_nb, C_bn)
-    P[ATTITUDE, ATTITUDE] = C_bn @ np.diag(alignment.sigma_n**2) @ C_bn.T + 1e-10 * np.eye(3)
+    P[ATTITUDE, ATTITUDE] = np.einsum("ij,j,kj->ik", C_bn, alignment.sigma_n**2, C_bn) + 1e-10 * np.eye(3)
     known = bool(np.isfinite(alignment.vel_n).all() and np.isfinite(alignment.lla).all())
     if known:
         x[4:7], x[7:10] = alignment.lla, alignment.vel_n

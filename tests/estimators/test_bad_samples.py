@@ -105,7 +105,7 @@ CHANGES = {
     "scattered infinities": every_seventh(-np.inf),
     "repeated stamps": repeated,
     "backward stamps": stamps((1500, -0.3), (1700, -0.9)),
-    "gap": gap(1500, 20.0),
+    "gap": gap(1500, 4.5),
     "gap while aligning": gap(300, 3.0),
     "no heading sigma": no_sigma,
     "aids from the future": from_the_future,

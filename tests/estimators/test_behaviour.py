@@ -290,12 +290,40 @@ def test_impossible_stamps_are_an_error_and_change_nothing(bad, row):
 
 def test_a_gap_is_bridged():
     samples, truth = still(40.0)
-    keep = np.r_[0:1000, 2000:4000]
+    keep = np.r_[0:1000, 1400:4000]
     gappy = Samples(*(getattr(samples, name)[keep] for name in Samples.__slots__))
     estimates = create("marg-ckf", site=SITE, align_s=3.0).process(gappy)
     assert estimates.status[1000] == Status.COASTING
     assert estimates.att_cov[1000].trace() > 2 * estimates.att_cov[999].trace()
     assert error_deg(estimates.q_nb[-1:], truth[-1:])[0] < 1.0
+
+
+def test_after_a_long_gap_it_aligns_anew():
+    """No prediction stands for twenty seconds of unknown turning; any block length gives the same."""
+    samples, truth = swinging(60.0)
+    keep = np.r_[0:1500, 3500:6000]
+    gappy = Samples(*(getattr(samples, name)[keep] for name in Samples.__slots__))
+    estimates = create("marg-ckf", site=SITE, align_s=3.0).process(gappy)
+    assert estimates.status[1499] == Status.RUNNING
+    assert (estimates.status[1500:1550] == Status.ALIGNING).all()
+    assert (estimates.status[2300:] != Status.ALIGNING).all()
+    assert error_deg(estimates.q_nb[-1:], truth[keep][-1:])[0] < 3.0
+    assert_identical(estimates, in_blocks(create("marg-ckf", site=SITE, align_s=3.0), gappy, [1500, 700, 1]))
+
+
+@pytest.mark.parametrize("seconds", [1.0, 2.0, 4.0])
+def test_a_short_standing_counts(seconds):
+    """Motion after it ends the alignment at once, with the attitude that it has turned to, and an honest sigma."""
+    samples, truth = swinging(25.0)
+    first = round(100 * (5.0 - seconds))
+    late = Samples(*(getattr(samples, name)[first:] for name in Samples.__slots__))
+    estimates = create("marg-ckf", site=SITE, align_s=20.0).process(late)
+    begun = int(np.flatnonzero(estimates.status != Status.ALIGNING)[0])
+    assert begun <= 100 * seconds + 220
+    total = error_deg(estimates.q_nb[begun : begun + 1], truth[first + begun][None])[0]
+    assert total < np.degrees(3 * np.sqrt(np.trace(estimates.att_cov[begun])))
+    assert total < 4.0
+    assert np.sqrt(estimates.att_cov[begun, 0, 0]) < np.radians(3.0)
 
 
 def test_wrong_shapes_are_named():
@@ -343,14 +371,21 @@ def test_impossible_values_are_left_out(name):
 # Alignment
 
 
-def test_alignment_waits_for_stillness_and_starts_again_when_moved():
-    samples, _ = still(30.0)
-    samples.accel_b[400:440] += 2.0 * np.sin(np.arange(40))[:, None]
-    estimates = create("marg-ekf", site=SITE, align_s=5.0).process(samples)
-    running = np.flatnonzero(estimates.status == Status.RUNNING)
-    assert 1000 <= running[0] <= 1100
-    assert np.isnan(estimates.q_nb[: running[0]]).all()
-    assert (estimates.status[: running[0]] == Status.ALIGNING).all()
+def test_alignment_waits_for_stillness_and_a_shove_ends_it():
+    """Of four still seconds before it the sigma is larger than of five without one."""
+    samples, truth = still(30.0)
+    begun = {}
+    for shoved in (False, True):
+        if shoved:
+            samples.accel_b[400:440] += 2.0 * np.sin(np.arange(40))[:, None]
+        estimates = create("marg-ekf", site=SITE, align_s=5.0).process(samples)
+        running = np.flatnonzero(estimates.status == Status.RUNNING)
+        assert 500 <= running[0] <= 600
+        assert np.isnan(estimates.q_nb[: running[0]]).all()
+        assert (estimates.status[: running[0]] == Status.ALIGNING).all()
+        begun[shoved] = np.trace(estimates.att_cov[running[0]])
+        assert error_deg(estimates.q_nb[-1:], truth[-1:])[0] < 1.5
+    assert begun[True] > begun[False]
 
 
 def test_a_start_in_the_air_aligns_coarsely():
