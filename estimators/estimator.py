@@ -21,7 +21,7 @@ from estimators.records import blank_estimates, pack, unpack
 from estimators.run import run, screen
 from estimators.types import Estimates, Samples, SensorInfo, Site
 
-STATE_VERSION = 1
+STATE_VERSION = 2
 LONGEST_GAP = 5.0
 """s: after a longer gap the attitude is aligned anew, since no prediction stands for the rates that are missing."""
 
