@@ -19,7 +19,7 @@ KEPT: dict[str, tuple[str, ...]] = {
     "imu": ("rate", "warm_up", "warm_up_time"),
     "gyro": ("range", "bandwidth", "antialias"),
     "accelerometer": ("range", "bandwidth", "antialias"),
-    "motor": ("reference", "harmonics"),
+    "motor": ("reference", "harmonics", "idle"),
     "magnetometer": ("rate", "range", "bandwidth", "antialias"),
     "gnss": ("rate", "fix_type", "wander_time", "antenna", "mask", "shadow", "reacquisition"),
     "heading": ("rate", "baseline", "baseline_yaw", "wander_time", "wrong_fix_time", "reacquisition"),
