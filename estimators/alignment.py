@@ -18,7 +18,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from estimators.jit import inner
-from estimators.native import Flag, Integer, Number, Record, Vector3, adapts, entry, local, record, shaped
+from estimators.native import Flag, Integer, Kernel, Number, Record, Vector3, adapts, entry, local, record, shaped
 from estimators.plausible import MAX_FIELD, MAX_FORCE, MAX_RATE, MAX_SPEED, on_earth, plausible
 from estimators.records import SAMPLE, Sample
 from estimators.rotations import attitude_matrix, from_euler, multiply, to_body, to_nav, triad, turn
@@ -254,7 +254,7 @@ def align(  # type: ignore[empty-body]
 
 
 @adapts(align)
-def _align(owner: Any, kernel: Any) -> Any:
+def _align(owner: None, kernel: Kernel) -> Kernel:
     def body(stretch, rows, count, align_s, wait_s, gyro_limit, accel_limit, gravity):  # type: ignore[no-untyped-def]
         s = record(stretch, STRETCH)
         for k in range(count):

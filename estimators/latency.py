@@ -12,13 +12,12 @@ turn-on bias of 0.3 deg/s is 0.01 deg in 30 ms.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
 from estimators.earth import move
 from estimators.jit import inner
-from estimators.native import adapts, entry, local, record
+from estimators.native import Kernel, adapts, entry, local, record
 from estimators.records import ESTIMATE, SAMPLE, Estimate, Sample
 from estimators.rotations import to_nav, turn
 
@@ -59,7 +58,7 @@ def to_gyro_time(rows: np.ndarray, count: int, gyro_delay: float, accel_delay: f
 
 
 @adapts(to_gyro_time)
-def _to_gyro_time(owner: Any, kernel: Any) -> Any:
+def _to_gyro_time(owner: None, kernel: Kernel) -> Kernel:
     def body(rows, count, gyro_delay, accel_delay, mag_delay):  # type: ignore[no-untyped-def]
         for k in range(count):
             row = record(rows, SAMPLE, k)
@@ -83,7 +82,7 @@ def to_stamp_time(
 
 
 @adapts(to_stamp_time)
-def _to_stamp_time(owner: Any, kernel: Any) -> Any:
+def _to_stamp_time(owner: None, kernel: Kernel) -> Kernel:
     def body(rows, out, first, count, gyro_delay, accel_delay, gravity):  # type: ignore[no-untyped-def]
         q = local(4)
         for k in range(first, count):

@@ -43,6 +43,7 @@ def condition(
     residual: np.ndarray,
     used: np.ndarray,
     variance: np.ndarray,
+    row: np.ndarray,
     dx: np.ndarray,
 ) -> bool:
     """Condition the state on measurements, given their joint covariance: eliminate one measurement after the other.
@@ -61,6 +62,7 @@ def condition(
         residual: (rows,) measured minus predicted; becomes the independent innovations.
         used: (rows,) which measurements count.
         variance: (rows,) out, variances of the innovations.
+        row: (n,) memory, of its own.
         dx: (n,) out, correction of the state.
 
     Returns:
@@ -78,16 +80,18 @@ def condition(
         inverse = 1.0 / pivot
         r = residual[k]
         for i in range(n):
-            gain = C[k, i] * inverse
+            row[i] = C[k, i]
+        for i in range(n):
+            gain = row[i] * inverse
             dx[i] += gain * r
             for j in range(i + 1):
-                P[i, j] -= gain * C[k, j]
+                P[i, j] -= gain * row[j]
         for m in range(k + 1, rows):
             if used[m]:
                 gain = S[m, k] * inverse
                 residual[m] -= gain * r
                 for i in range(n):
-                    C[m, i] -= gain * C[k, i]
+                    C[m, i] -= gain * row[i]
                 for j in range(k + 1, m + 1):
                     S[m, j] -= gain * S[j, k]
     for i in range(n):

@@ -21,7 +21,7 @@ import tempfile
 import types as types_
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Self, TypeVar, cast, get_args, get_type_hints
+from typing import Annotated, Any, Self, TypeAlias, TypeVar, cast, get_args, get_type_hints
 
 import numba
 import numpy as np
@@ -37,6 +37,9 @@ from estimators.jit import FOLDER, JIT, inner
 
 CAPACITY = 72
 """Most components of a state or an error; every matrix of the loop has rows of this length (nine cache lines)."""
+
+Kernel: TypeAlias = Callable[..., Any]
+"""A function that Numba compiles, or the body of a C function."""
 
 Number = Annotated[float, np.dtype(np.float64)]
 Integer = Annotated[int, np.dtype(np.int64)]

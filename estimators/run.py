@@ -5,7 +5,6 @@ Time stamps decide: dt is their difference, never a nominal rate. A row whose st
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from estimators.filters.work import CARRY, WORK, Carry, Work
 from estimators.jit import inner
 from estimators.linalg import healthy
 from estimators.models.base import HANDLE, Handle, constrain, load, measure, report
-from estimators.native import adapts, entry, record
+from estimators.native import Kernel, adapts, entry, record
 from estimators.records import ESTIMATE, SAMPLE, Estimate, Sample
 from estimators.types import MEASUREMENTS, Status
 
@@ -41,7 +40,7 @@ def screen(rows: np.ndarray, count: int, last: float) -> int:  # type: ignore[em
 
 
 @adapts(screen)
-def _screen(owner: Any, kernel: Any) -> Any:
+def _screen(owner: None, kernel: Kernel) -> Kernel:
     def body(rows, count, last):  # type: ignore[no-untyped-def]
         latest = last
         for k in range(count):
@@ -147,7 +146,7 @@ def run(
 
 
 @adapts(run)
-def _run(owner: Any, kernel: Any) -> Any:
+def _run(owner: None, kernel: Kernel) -> Kernel:
     def body(method, policy, model, carry, work, rows, out, first, count):  # type: ignore[no-untyped-def]
         a, b, c = record(method, METHOD), record(policy, POLICY), record(model, HANDLE)
         d, e = record(carry, CARRY), record(work, WORK)

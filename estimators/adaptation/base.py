@@ -16,6 +16,7 @@ from estimators.models.base import HANDLE, Handle, measurement_noise
 from estimators.native import (
     Address,
     Integer,
+    Kernel,
     Plain,
     Record,
     adapts,
@@ -92,7 +93,7 @@ def factor(policy: PolicyHandle, sensor: int, first: int, end: int, trust: np.nd
 
 
 @adapts(admit)
-def _admit(m: Any, kernel: Any) -> Any:
+def _admit(m: ModuleType, kernel: Kernel) -> Kernel:
     P, T = m.Parameters.dtype, m.Trust.dtype
 
     def body(policy, model, row, x, trust, used):  # type: ignore[no-untyped-def]
@@ -107,7 +108,7 @@ def _admit(m: Any, kernel: Any) -> Any:
 
 
 @adapts(factor)
-def _factor(m: Any, kernel: Any) -> Any:
+def _factor(m: ModuleType, kernel: Kernel) -> Kernel:
     P, T = m.Parameters.dtype, m.Trust.dtype
 
     def body(policy, sensor, first, end, trust, work):  # type: ignore[no-untyped-def]

@@ -30,6 +30,7 @@ from estimators.models.base import (
 from estimators.native import (
     Address,
     Integer,
+    Kernel,
     Plain,
     Record,
     adapts,
@@ -142,7 +143,7 @@ def reported(method: FilterHandle, model: Handle, x: np.ndarray, P: np.ndarray, 
 
 
 @adapts(predict)
-def _predict(m: Any, kernel: Any) -> Any:
+def _predict(m: ModuleType, kernel: Kernel) -> Kernel:
     M = m.Parameters.dtype
 
     def body(method, model, x, P, u, dt, work):  # type: ignore[no-untyped-def]
@@ -154,7 +155,7 @@ def _predict(m: Any, kernel: Any) -> Any:
 
 
 @adapts(project)
-def _project(m: Any, kernel: Any) -> Any:
+def _project(m: ModuleType, kernel: Kernel) -> Kernel:
     M = m.Parameters.dtype
 
     def body(method, model, group, x, P, u, work):  # type: ignore[no-untyped-def]
@@ -166,7 +167,7 @@ def _project(m: Any, kernel: Any) -> Any:
 
 
 @adapts(correct)
-def _correct(m: Any, kernel: Any) -> Any:
+def _correct(m: ModuleType, kernel: Kernel) -> Kernel:
     M = m.Parameters.dtype
 
     def body(method, model, group, P, work):  # type: ignore[no-untyped-def]
@@ -180,7 +181,7 @@ def _correct(m: Any, kernel: Any) -> Any:
 
 
 @adapts(update)
-def _update(m: Any, kernel: Any) -> Any:
+def _update(m: ModuleType, kernel: Kernel) -> Kernel:
     def body(method, policy, model, group, x, P, u, trust, work):  # type: ignore[no-untyped-def]
         ok = kernel(
             record(method, METHOD), record(policy, POLICY), record(model, HANDLE), group, vector(x), matrix(P),
@@ -218,7 +219,7 @@ def _once(
 
 
 @adapts(reported)
-def _reported(m: Any, kernel: Any) -> Any:
+def _reported(m: ModuleType, kernel: Kernel) -> Kernel:
     M = m.Parameters.dtype
 
     def body(method, model, x, P, work, answer):  # type: ignore[no-untyped-def]

@@ -5,13 +5,16 @@ covariances is here, as entries that a model's handle supplies (see `models.base
 (`filters.base`), P and L have rows of CAPACITY.
 """
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from estimators import linalg
 from estimators.filters.work import WORK, Work
-from estimators.native import adapts, entry, matrix, record
+from estimators.native import Kernel, adapts, entry, local, matrix, record
+
+if TYPE_CHECKING:
+    from estimators.models.base import Handle
 
 
 class Sizes(NamedTuple):
@@ -23,32 +26,32 @@ class Sizes(NamedTuple):
 
 
 @entry("pipp", bool)
-def factorise(model: Any, columns: int, P: np.ndarray, L: np.ndarray) -> bool:  # type: ignore[empty-body]
+def factorise(model: "Handle", columns: int, P: np.ndarray, L: np.ndarray) -> bool:  # type: ignore[empty-body]
     """The first `columns` columns of P's Cholesky factor, each a row of L; False when P is not positive."""
 
 
 @entry("ppp")
-def transform(model: Any, P: np.ndarray, work: Work) -> None:
+def transform(model: "Handle", P: np.ndarray, work: Work) -> None:
     """`P <- F P F^T` with F in `work.J`, which differs from the identity in `changed` rows and `read` columns only."""
 
 
 @entry("pipp")
-def project_slope(model: Any, group: int, P: np.ndarray, work: Work) -> None:
+def project_slope(model: "Handle", group: int, P: np.ndarray, work: Work) -> None:
     """`work.C = H P` and `work.S = H P H^T` (lower half) of a group, H in `work.J`."""
 
 
 @entry("pppfff")
-def predicted(model: Any, P: np.ndarray, work: Work, h: float, even: float, square: float) -> None:
+def predicted(model: "Handle", P: np.ndarray, work: Work, h: float, even: float, square: float) -> None:
     """Covariance P of propagated points: `work.odd`, `work.even`, `work.shift` and `work.L` as `points` has them."""
 
 
 @entry("pippfff")
-def measured(model: Any, group: int, P: np.ndarray, work: Work, h: float, even: float, square: float) -> None:
+def measured(model: "Handle", group: int, P: np.ndarray, work: Work, h: float, even: float, square: float) -> None:
     """`work.S` (lower half) and `work.C` of the observed points of a group, likewise."""
 
 
 @entry("pipp", bool)
-def condition(model: Any, group: int, P: np.ndarray, work: Work) -> bool:  # type: ignore[empty-body]
+def condition(model: "Handle", group: int, P: np.ndarray, work: Work) -> bool:  # type: ignore[empty-body]
     """Add `work.noise` to `work.S` and condition P on the group (`linalg.condition`); False when not positive."""
 
 
@@ -56,7 +59,7 @@ ENTRIES = (factorise, transform, project_slope, predicted, measured, condition)
 
 
 @adapts(factorise)
-def _factorise(sizes: Sizes, kernel: Any) -> Any:
+def _factorise(sizes: Sizes, kernel: Kernel) -> Kernel:
     n = sizes.size
 
     def body(model, columns, P, L):  # type: ignore[no-untyped-def]
@@ -66,19 +69,21 @@ def _factorise(sizes: Sizes, kernel: Any) -> Any:
 
 
 @adapts(transform)
-def _transform(sizes: Sizes, kernel: Any) -> Any:
+def _transform(sizes: Sizes, kernel: Kernel) -> Kernel:
     n, moved, columns = sizes
 
     def body(model, P_, work_):  # type: ignore[no-untyped-def]
         work, P = record(work_, WORK), matrix(P_)
-        F, FP = work.J, work.T
+        F, FP, row = work.J, work.T, local(n)  # own memory: nothing else can point to it
         for a in range(moved):
             for j in range(n):
-                FP[a, j] = 0.0
+                row[j] = 0.0
             for k in range(columns):
                 if F[a, k] != 0.0:
                     for j in range(n):
-                        FP[a, j] += F[a, k] * P[k, j]
+                        row[j] += F[a, k] * P[k, j]
+            for j in range(n):
+                FP[a, j] = row[j]
         for a in range(moved):
             for j in range(moved, n):
                 P[a, j] = P[j, a] = FP[a, j]
@@ -94,7 +99,7 @@ def _transform(sizes: Sizes, kernel: Any) -> Any:
 
 
 @adapts(project_slope)
-def _project_slope(sizes: Sizes, kernel: Any) -> Any:
+def _project_slope(sizes: Sizes, kernel: Kernel) -> Kernel:
     from estimators.models.base import HANDLE
 
     n = sizes.size
@@ -102,14 +107,16 @@ def _project_slope(sizes: Sizes, kernel: Any) -> Any:
     def body(model_, group, P_, work_):  # type: ignore[no-untyped-def]
         model, work, P = record(model_, HANDLE), record(work_, WORK), matrix(P_)
         rows, first, end = model.rows[group], model.first[group], model.end[group]
-        H, C, S = work.J, work.C, work.S
+        H, C, S, row = work.J, work.C, work.S, local(n)  # own memory: nothing else can point to it
         for a in range(rows):
             for j in range(n):
-                C[a, j] = 0.0
+                row[j] = 0.0
             for k in range(first, end):
                 if H[a, k] != 0.0:
                     for j in range(n):
-                        C[a, j] += H[a, k] * P[k, j]
+                        row[j] += H[a, k] * P[k, j]
+            for j in range(n):
+                C[a, j] = row[j]
             for b in range(a + 1):
                 total = 0.0
                 for k in range(first, end):
@@ -120,7 +127,7 @@ def _project_slope(sizes: Sizes, kernel: Any) -> Any:
 
 
 @adapts(predicted)
-def _predicted(sizes: Sizes, kernel: Any) -> Any:
+def _predicted(sizes: Sizes, kernel: Kernel) -> Kernel:
     n, moved, columns = sizes
 
     def body(model, P_, work_, h, even, square):  # type: ignore[no-untyped-def]
@@ -144,7 +151,7 @@ def _predicted(sizes: Sizes, kernel: Any) -> Any:
 
 
 @adapts(measured)
-def _measured(sizes: Sizes, kernel: Any) -> Any:
+def _measured(sizes: Sizes, kernel: Kernel) -> Kernel:
     from estimators.models.base import HANDLE
 
     n = sizes.size
@@ -166,7 +173,7 @@ def _measured(sizes: Sizes, kernel: Any) -> Any:
 
 
 @adapts(condition)
-def _condition(sizes: Sizes, kernel: Any) -> Any:
+def _condition(sizes: Sizes, kernel: Kernel) -> Kernel:
     from estimators.models.base import HANDLE
 
     n = sizes.size
@@ -177,7 +184,10 @@ def _condition(sizes: Sizes, kernel: Any) -> Any:
         for i in range(rows):
             for j in range(i + 1):
                 S[i, j] += noise[i, j]
-        ok = linalg.condition(n, rows, S, work.C, P, work.residual, work.used, work.variance, work.dx)
+        row, dx = local(n), local(n)  # own memory: nothing else can point to it
+        ok = linalg.condition(n, rows, S, work.C, P, work.residual, work.used, work.variance, row, dx)
+        for i in range(n):
+            work.dx[i] = dx[i]
         return 1 if ok else 0
 
     return body

@@ -32,6 +32,7 @@ from estimators.native import (
     CAPACITY,
     Address,
     Integer,
+    Kernel,
     Plain,
     Record,
     adapts,
@@ -252,7 +253,7 @@ def report(model: Handle, x: np.ndarray, P: np.ndarray, answer: Estimate) -> Non
 
 
 @adapts(load)
-def _load(m: Any, kernel: Any) -> Any:
+def _load(m: ModuleType, kernel: Kernel) -> Kernel:
     P, X, M, U = m.Parameters.dtype, m.State.dtype, m.Memory.dtype, m.Inputs.dtype
 
     def body(model, row, x, u):  # type: ignore[no-untyped-def]
@@ -263,7 +264,7 @@ def _load(m: Any, kernel: Any) -> Any:
 
 
 @adapts(measure)
-def _measure(m: Any, kernel: Any) -> Any:
+def _measure(m: ModuleType, kernel: Kernel) -> Kernel:
     P, X, M, U = m.Parameters.dtype, m.State.dtype, m.Memory.dtype, m.Inputs.dtype
     Z, D = m.Readings.dtype, m.Used.dtype
 
@@ -276,7 +277,7 @@ def _measure(m: Any, kernel: Any) -> Any:
 
 
 @adapts(propagate)
-def _propagate(m: Any, kernel: Any) -> Any:
+def _propagate(m: ModuleType, kernel: Kernel) -> Kernel:
     P, X, U = m.Parameters.dtype, m.State.dtype, m.Inputs.dtype
 
     def body(model, count, x, u, dt, out):  # type: ignore[no-untyped-def]
@@ -289,7 +290,7 @@ def _propagate(m: Any, kernel: Any) -> Any:
 
 @adapts(transition)
 @adapts(process_noise)
-def _with_step(m: Any, kernel: Any) -> Any:
+def _with_step(m: ModuleType, kernel: Kernel) -> Kernel:
     P, X, U = m.Parameters.dtype, m.State.dtype, m.Inputs.dtype
 
     def body(model, x, u, dt, out):  # type: ignore[no-untyped-def]
@@ -299,7 +300,7 @@ def _with_step(m: Any, kernel: Any) -> Any:
 
 
 @adapts(observe)
-def _observe(m: Any, kernel: Any) -> Any:
+def _observe(m: ModuleType, kernel: Kernel) -> Kernel:
     P, X, U = m.Parameters.dtype, m.State.dtype, m.Inputs.dtype
 
     def body(model, group, count, x, u, y):  # type: ignore[no-untyped-def]
@@ -312,7 +313,7 @@ def _observe(m: Any, kernel: Any) -> Any:
 
 @adapts(slope)
 @adapts(measurement_noise)
-def _of_group(m: Any, kernel: Any) -> Any:
+def _of_group(m: ModuleType, kernel: Kernel) -> Kernel:
     P, X, U = m.Parameters.dtype, m.State.dtype, m.Inputs.dtype
 
     def body(model, group, x, u, out):  # type: ignore[no-untyped-def]
@@ -322,7 +323,7 @@ def _of_group(m: Any, kernel: Any) -> Any:
 
 
 @adapts(residual)
-def _residual(m: Any, kernel: Any) -> Any:
+def _residual(m: ModuleType, kernel: Kernel) -> Kernel:
     P = m.Parameters.dtype
 
     def body(model, group, count, z, y, out):  # type: ignore[no-untyped-def]
@@ -341,7 +342,7 @@ def _residual(m: Any, kernel: Any) -> Any:
 
 
 @adapts(retract)
-def _retract(m: Any, kernel: Any) -> Any:
+def _retract(m: ModuleType, kernel: Kernel) -> Kernel:
     P, X = m.Parameters.dtype, m.State.dtype
 
     def body(model, count, x, dx, out):  # type: ignore[no-untyped-def]
@@ -360,7 +361,7 @@ def _retract(m: Any, kernel: Any) -> Any:
 
 
 @adapts(difference)
-def _difference(m: Any, kernel: Any) -> Any:
+def _difference(m: ModuleType, kernel: Kernel) -> Kernel:
     P, X = m.Parameters.dtype, m.State.dtype
 
     def body(model, count, x, origin, out):  # type: ignore[no-untyped-def]
@@ -379,7 +380,7 @@ def _difference(m: Any, kernel: Any) -> Any:
 
 
 @adapts(constrain)
-def _constrain(m: Any, kernel: Any) -> Any:
+def _constrain(m: ModuleType, kernel: Kernel) -> Kernel:
     P, X = m.Parameters.dtype, m.State.dtype
 
     def body(model, x):  # type: ignore[no-untyped-def]
@@ -392,7 +393,7 @@ def _constrain(m: Any, kernel: Any) -> Any:
 
 
 @adapts(report)
-def _report(m: Any, kernel: Any) -> Any:
+def _report(m: ModuleType, kernel: Kernel) -> Kernel:
     P, X, M = m.Parameters.dtype, m.State.dtype, m.Memory.dtype
 
     def body(model, x, P_, answer):  # type: ignore[no-untyped-def]

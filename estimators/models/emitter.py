@@ -18,7 +18,7 @@ filter; here they add to the measurement noise, to first order (`look_noise`), a
 
 import math
 import sys
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -105,7 +105,9 @@ def range_from_rate(k: float, theta: float, phase_rate: float, u: np.ndarray) ->
 
 
 @njit
-def range_sigma(model: Any, theta: float, theta_sigma: float, phase_rate: float, u: np.ndarray) -> float:
+def range_sigma(
+    model: "Emitter | Parameters", theta: float, theta_sigma: float, phase_rate: float, u: np.ndarray
+) -> float:
     """Standard deviation (m) of `range_from_rate`, all errors independent and to first order, eq. (16)."""
     sine, cosine = math.sin(theta), math.cos(theta)
     s, c = math.sin(theta - u[4]), math.cos(theta - u[4])
@@ -190,7 +192,7 @@ def hypotheses(
 
 
 @njit
-def look(model: Any, x: np.ndarray, u: np.ndarray, y: np.ndarray, H: np.ndarray) -> float:
+def look(model: "Emitter | Parameters", x: np.ndarray, u: np.ndarray, y: np.ndarray, H: np.ndarray) -> float:
     """Phase (not wrapped) and phase rate into y, their derivatives by (x, y) into H (2, 2); returns theta."""
     dx, dy = x[0] - u[0], x[1] - u[1]
     R = math.sqrt(dx * dx + dy * dy)
@@ -211,7 +213,7 @@ def look(model: Any, x: np.ndarray, u: np.ndarray, y: np.ndarray, H: np.ndarray)
 
 
 @njit
-def look_noise(model: Any, x: np.ndarray, u: np.ndarray, S: np.ndarray) -> None:
+def look_noise(model: "Emitter | Parameters", x: np.ndarray, u: np.ndarray, S: np.ndarray) -> None:
     """Add the noise of a look to the lower half of S (2, 2): phase, its rate, the aircraft's own state."""
     y, H = local(2), local(2, 2)
     theta = look(model, x, u, y, H)
