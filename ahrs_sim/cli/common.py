@@ -1,9 +1,10 @@
 """What several commands share: types of arguments, groups of options, the progress bar, the live server."""
 
 import argparse
+import contextlib
 import datetime
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -120,6 +121,35 @@ def open_live(arguments: argparse.Namespace, stopped: Callable[[], bool] = lambd
     live = Live(arguments.live, arguments.rate, stopped)
     print(f"live at ws://localhost:{live.port} (Foxglove: Open connection, Foxglove WebSocket)", file=sys.stderr)
     return live
+
+
+@contextlib.contextmanager
+def temporary_folder() -> Iterator[str]:
+    """Make a private folder that goes with the command; one that a killed command has left goes with the next."""
+    import os
+    import shutil
+    import tempfile
+
+    found = Path(tempfile.gettempdir()).glob("ahrs_sim-run-*-*") if hasattr(os, "getuid") else ()
+    for left in found:
+        pid = left.name.split("-")[2]
+        with contextlib.suppress(OSError):
+            if pid.isdecimal() and left.lstat().st_uid == os.getuid() and not _runs(int(pid)):
+                shutil.rmtree(left, ignore_errors=True)
+    with tempfile.TemporaryDirectory(prefix=f"ahrs_sim-run-{os.getpid()}-") as folder:
+        yield folder
+
+
+def _runs(pid: int) -> bool:
+    import os
+
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # somebody else's now
+        return True
+    return True
 
 
 class CompileNotice:

@@ -17,6 +17,7 @@ from ahrs_sim.cli.common import (
     moment,
     open_live,
     positive,
+    temporary_folder,
 )
 
 
@@ -60,8 +61,6 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> None:
     """Run estimators on a log or a recording and print the accuracy table."""
-    import tempfile
-
     from ahrs_sim import replay
     from ahrs_sim.errors import FlightError
 
@@ -73,7 +72,7 @@ def run(arguments: argparse.Namespace) -> None:
     if not (arguments.output or changed or arguments.live is not None) and _evaluate_only(arguments):
         return
     live = open_live(arguments)
-    with live or contextlib.nullcontext(), tempfile.TemporaryDirectory(prefix="ahrs_sim-") as folder:
+    with live or contextlib.nullcontext(), temporary_folder() as folder:
         output = arguments.output or Path(folder) / arguments.log.with_suffix(".mcap").name
         failure, notes = None, []
         try:

@@ -81,3 +81,27 @@ def test_durations_say_what_is_wrong_with_them(text: str, words: str, capsys: py
     with pytest.raises(SystemExit):
         cli.main(["fly", "circuit", f"--duration={text}"])
     assert words in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs processes as POSIX has them")
+def test_a_temporary_folder_is_private_and_goes_even_after_a_kill(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import tempfile
+
+    from ahrs_sim.cli.common import temporary_folder
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        ended.wait()
+    left, running, other = (tmp_path / f"ahrs_sim-run-{x}-abc" for x in (ended.pid, os.getpid(), "x"))
+    for folder in (left, running, other):
+        folder.mkdir()
+        (folder / "a.mcap").write_text("")
+    (tmp_path / f"ahrs_sim-run-{ended.pid}-link").symlink_to(other)
+    with temporary_folder() as folder:
+        assert not Path(folder).stat().st_mode & 0o077
+        assert not left.exists()
+        assert (running / "a.mcap").exists()
+        assert (other / "a.mcap").exists()
+    assert not Path(folder).exists()
