@@ -13,6 +13,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
 
 from bag_helpers import Motion, motion, ns, write_bag, write_ulog
 from dataflash_helpers import write_dataflash
+from foreign_helpers import write_json, write_protobuf, write_ros1_bag, write_ros1_mcap
 
 from ahrs_sim import cli, pipeline, scenario
 from ahrs_sim.evaluation.metrics import euler
@@ -89,6 +90,17 @@ method = "marg-ekf"
 align_s = 1.0
 """
 
+LOOSE_MAP = """
+[csv]
+time = {column = "time_ms", unit = "ms"}
+[csv.imu]
+gyro = {columns = ["gx", "gy", "gz"], unit = "deg/s"}
+accel = {columns = ["ax", "ay", "az"], unit = "g"}
+[csv.mag]
+optional = true
+field = {columns = ["mx|my", "my", "mz"], unit = "mG"}
+"""
+
 SUITE = """
 title = "x"
 catalogue = "chr"
@@ -118,7 +130,12 @@ BASELINE = {
     },
 }
 
-BESIDE = {"table.csv.map.toml": CSV_MAP, "flight.toml": SCENARIO, "baseline.json": json.dumps(BASELINE)}
+BESIDE = {
+    "table.csv.map.toml": CSV_MAP,
+    "export.txt.map.toml": LOOSE_MAP,
+    "flight.toml": SCENARIO,
+    "baseline.json": json.dumps(BASELINE),
+}
 """Texts that lie beside a file under test, sound."""
 
 
@@ -214,6 +231,15 @@ KINDS: Mapping[str, Kind] = {
     "db3": Kind("bag.db3", "db3", (command("replay", "{in}", "--estimator", "marg-ekf"),)),
     "ulog": Kind("px4.ulg", "ulog", (command("replay", "{in}", "--estimator", "marg-ekf"),)),
     "dataflash": Kind("ap.bin", "dataflash", (command("replay", "{in}", "--estimator", "marg-ekf"),)),
+    "json": Kind("json.mcap", "mcap", (command("replay", "{in}", "--estimator", "marg-ekf"),)),
+    "protobuf": Kind("protobuf.mcap", "mcap", (command("allan", "{in}"),)),
+    "ros1": Kind("ros1.mcap", "mcap", (command("replay", "{in}", "--estimator", "marg-ekf"),)),
+    "rosbag": Kind("ros1.bag", "db3", (command("replay", "{in}", "--estimator", "marg-ekf"),)),
+    "table": Kind(
+        "export.txt",
+        "csv",
+        (command("export", "{in}", "--to", "csv", "-o", "{out}", "--map", "{in}.map.toml"),),
+    ),
     "csv": Kind("table.csv", "csv", (command("replay", "{in}", "--map", "{in}.map.toml"),)),
     "map": Kind("map.toml", "toml", (command("replay", "{in}/../table.csv", "--map", "{in}"),)),
     "scenario": Kind("scenario.toml", "toml", (_load_and_fly,)),
@@ -234,7 +260,13 @@ def write_all(folder: Path) -> None:
     write_ulog(folder / "px4.ulg", still)
     write_dataflash(folder / "ap.bin", still)
     _write_db3(folder)
+    short = motion(4.0, 50.0, still=1.0)
+    write_json(folder / "json.mcap", short)
+    write_protobuf(folder / "protobuf.mcap", short)
+    write_ros1_mcap(folder / "ros1.mcap", short)
+    write_ros1_bag(folder / "ros1.bag", short)
     _write_csv(folder / "table.csv", still)
+    _write_csv(folder / "export.txt", short)
     for name, text in BESIDE.items():
         (folder / name).write_text(text)
     (folder / "map.toml").write_text(CSV_MAP)
