@@ -49,6 +49,7 @@ def suspicions(s: Survey, assumed: Assumed, track: Track | None) -> list[str]:
         track: IMU and GNSS velocity together, where there is enough of both.
     """
     found = _accelerometer(s, assumed.body) or _at_rest(s, assumed.body)
+    found += _bias(s)
     units = _gyro_unit(s) + _field_unit(s, assumed.field_n)
     found += units
     if not found:
@@ -128,6 +129,18 @@ def _at_rest(s: Survey, body: str) -> list[str]:
 
 
 # ----------------------------------------------------------------------------------------------- gyro
+
+
+def _bias(s: Survey) -> list[str]:
+    """Find a gyro bias that no data sheet has, while it stands."""
+    still = s.still
+    if still.sum() < 10:
+        return []
+    bias = np.median(s.gyro_b[still], axis=0)
+    if float(np.linalg.norm(bias)) < math.radians(3.0):
+        return []
+    text = " ".join(f"{x:.1f}" for x in np.degrees(bias))
+    return [f"gyro reads ({text}) deg/s at rest: a bias that estimators take for turning; --calibrate gyro removes it"]
 
 
 def _gyro_unit(s: Survey) -> list[str]:

@@ -102,6 +102,7 @@ class Converter:
         self.counts: Counter[str] = Counter()
         self.log_times = mapping.stamps == "log"
         self._decided = mapping.stamps is not None
+        self.offsets: dict[str, int] = {}  # ns by kind: whole seconds that its clock is ahead of the log's
         self._queues = {k: _Queue(_RECORDS.get(k, AttitudeRecord), k, self.counts) for k in chosen if k != "accel"}
         self._gyro: np.ndarray | None = None  # messages whose acceleration has not come yet
         self._force = (np.empty(0, np.int64), np.empty((0, 3)))  # ns, in the axes of the gyro's messages
@@ -177,7 +178,14 @@ class Converter:
         if not self._decided:  # by the first messages: a board without clock stamps from its boot
             self._decided = True
             self.log_times = abs(float(np.median(header - array["log_time"]))) > OTHER_CLOCK_NS
-        times: np.ndarray = array["log_time"] if self.log_times else header
+        if self.log_times:
+            times: np.ndarray = array["log_time"]
+        else:
+            if kind not in self.offsets:  # by its first messages: GPS time for UTC, a board set to another hour
+                told = self.mapping.stamps is not None or self.mapping.shifts.get(kind, 0)
+                off = 0.0 if told else float(np.median(header - array["log_time"]))
+                self.offsets[kind] = round(off / 1e9) * 10**9 if abs(off) > OTHER_CLOCK_NS else 0
+            times = header - self.offsets[kind]
         return times - self.epoch_ns + self.mapping.shifts.get(kind, 0)
 
     def _joined(self, gyro: np.ndarray, accel: np.ndarray) -> np.ndarray:

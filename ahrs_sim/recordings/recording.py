@@ -220,6 +220,11 @@ def _looked(source: Source, map_: Map, span: tuple[float, float]) -> tuple[dict[
     if not len(seen.t):
         raise InputError(f"{path}: {chosen['imu'].topic.name} has no usable message; check stamps and [time] stamps")
     notes = [*mapping.described(chosen, source.duration), *passed, *source.notes]
+    notes += [
+        f"check: {kind}: its stamps are {offset * 1e-9:+.0f} s off the log's clock (GPS time for UTC: 18 s): taken back"
+        for kind, offset in first.offsets.items()
+        if offset
+    ]
     if first.log_times and map_.stamps is None:
         notes.append("header stamps are of another clock: times of the log are used ([time] stamps)")
     return chosen, seen, notes

@@ -17,6 +17,7 @@ from ahrs_sim.world.gravity import STANDARD as G
 BIN_S = 0.1
 STILL_RATE, STILL_FORCE = math.radians(0.5), 0.15  # rad/s, m/s2: scatter within a second of standing
 STILL_TURN = math.radians(3.0)  # rad/s: a mean that could be a bias
+GREATEST_BIAS = math.radians(15.0)  # rad/s: one that is when nothing turns
 
 
 @dataclass
@@ -40,6 +41,22 @@ class Survey:
     t_reference: np.ndarray  # (m,) s
     q_nb: np.ndarray  # (m, 4)
 
+    def _turn_is_bias(self) -> np.ndarray:
+        """Tell bins (n,) whose rate is small, or a bias up to `GREATEST_BIAS` with which the field does not turn."""
+        rate = np.linalg.norm(self.gyro_b, axis=1)
+        small: np.ndarray = rate < STILL_TURN
+        half = max(1, round(0.5 / BIN_S))
+        if len(rate) <= 2 * half:
+            return small
+        change, across = np.full(len(rate), np.nan), np.full(len(rate), np.nan)
+        size = np.linalg.norm(self.mag, axis=1)
+        size[size == 0.0] = np.nan
+        change[half:-half] = np.linalg.norm(self.mag[2 * half :] - self.mag[: -2 * half], axis=1)
+        across[half:-half] = 2 * half * BIN_S * np.linalg.norm(np.cross(self.gyro_b, self.mag), axis=1)[half:-half]
+        with np.errstate(invalid="ignore"):  # a force that stays says nothing: it does in a coordinated turn
+            stays = (across > 0.08 * size) & (change < 0.2 * across)
+        return np.asarray(small | (stays & (rate < GREATEST_BIAS)))
+
     @property
     def still(self) -> np.ndarray:
         """Bins (n,) in the middle of a second of standing."""
@@ -51,7 +68,7 @@ class Survey:
         windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
         span = windows.max(axis=-1) - windows.min(axis=-1)
         quiet = (span[:, :3].max(axis=1) < 2 * STILL_RATE) & (span[:, 3:].max(axis=1) < 2 * STILL_FORCE)
-        quiet &= np.linalg.norm(self.gyro_b, axis=1) < STILL_TURN
+        quiet &= self._turn_is_bias()
         still: np.ndarray = quiet & (self.scatter[:, 0] < 3 * STILL_RATE) & (self.scatter[:, 1] < 6 * STILL_FORCE)
         return still
 

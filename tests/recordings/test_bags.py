@@ -213,6 +213,25 @@ def test_stamps_of_another_clock(tmp_path: Path, moving: Motion) -> None:
     check_samples(samples_of(bag), moving)
 
 
+def test_a_clock_that_is_off_by_whole_seconds_is_taken_back(tmp_path: Path, moving: Motion) -> None:
+    """A receiver that stamps GPS time, 18 s ahead of UTC."""
+    t = moving.t[::20]
+    with LogWriter(tmp_path / "a.mcap", epoch_ns=EPOCH, force=True) as log:
+        imu = log.add_channel("/imu/data_raw", "sensor_msgs/msg/Imu", frame_id="x_frd")
+        vel = log.add_channel("/gps/vel", "geometry_msgs/msg/TwistStamped", frame_id="map_ned")
+        log.start()
+        log.write(imu, ns(moving.t), ns(moving.t), angular_velocity=moving.gyro_b, linear_acceleration=moving.accel_b)
+        log.write(vel, ns(t), ns(t - 0.05 + 18.0), **{"twist.linear": np.tile([1.0, 2.0, 3.0], (len(t), 1))})
+    bag = opened(tmp_path / "a.mcap", None)
+    assert any("check: velocity: its stamps are +18 s off the log's clock" in note for note in bag.notes)
+    s = samples_of(bag)
+    assert set(np.round(s.gnss_t[s.gnss_new] + 0.05, 6)) <= set(np.round(t, 6))
+    assert s.gnss_new.sum() >= len(t) - 1
+    told = opened(tmp_path / "a.mcap", "[time]\nvelocity_s = -18.0")
+    assert not any("off the log's clock" in note for note in told.notes)
+    assert samples_of(told).gnss_new.sum() >= len(t) - 1
+
+
 @pytest.mark.parametrize(
     ("changes", "map_text", "words"),
     [

@@ -174,3 +174,20 @@ def test_sensors_that_are_not_there() -> None:
     ]  # fmt: skip
     standing = survey.look([{"imu": blocks["imu"]}])
     assert checks.missing({"imu", "mag"}, standing) == []
+
+
+@pytest.mark.parametrize("bias", [(0.0, 0.0, 0.0), (2.0, 0.0, 1.0), (0.0, 12.0, 0.0), (-6.0, 5.0, 8.0)])
+def test_a_great_gyro_bias_is_known_standing(bias: tuple[float, float, float]) -> None:
+    """Field and gravity stay where they are: what the gyro reads is its bias."""
+    from ahrs_sim.recordings import calibration
+
+    s = hand(start=0.0)
+    s = dataclasses.replace(s, gyro_b=s.gyro_b + np.radians(bias))
+    still = s.t < 9.0
+    assert s.still[still][10:-10].mean() > 0.9
+    assert s.still[s.t > 13.0].mean() < 0.02
+    found = calibration.gyro_bias(s)
+    assert found is not None
+    assert np.degrees(found[0]) == pytest.approx(bias, abs=0.2)
+    great = np.linalg.norm(bias) > 3.0
+    assert any("deg/s at rest: a bias" in line for line in lines(s)) == great
