@@ -154,4 +154,4 @@ def test_a_date_before_the_model_is_that_of_another(tmp_path: Path, moving: Moti
     _, notes = samples_of(tmp_path / "a.mcap", date=date)
     assert any("2015.0 is before WMM2025: field by IGRF-14" in note for note in notes)
     _, notes = samples_of(tmp_path / "a.mcap", date=date.replace(year=2033))
-    assert any("years after WMM2025: field carried on" in note for note in notes)
+    assert any("years after WMM2025: field extrapolated" in note for note in notes)
