@@ -366,7 +366,7 @@ class DesignedAutopilot(Autopilot):
         """Height (m, of the wheels) at which the sink rate is that of the flare's law."""
         if self.values["flare-height-m"] > 0.0:
             return self.values["flare-height-m"]
-        return max(1.0, (-air.climb - TOUCHDOWN) / FLARE_RATE - 0.7 * air.climb)
+        return max(1.0, (-air.climb - TOUCHDOWN) / FLARE_RATE - max(0.7, air.true / 90.0) * air.climb)
 
     # -- thrust
 

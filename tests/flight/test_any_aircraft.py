@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from flight_helpers import Flown, make
 
+from ahrs_sim import scenario
+from ahrs_sim.cli import main
 from ahrs_sim.errors import InputError
 from ahrs_sim.flight import gains, open_flight
 from ahrs_sim.flight.design import design, from_text
@@ -145,3 +147,60 @@ def test_what_cannot_be_flown_is_refused_in_one_line(aircraft, step, message):
         open_flight(make(aircraft=aircraft, step=[step], start=AIR))
     assert "\n" not in str(caught.value)
     assert "test.toml" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "aircraft",
+    [
+        "c172p",
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in (
+                "737",
+                "A320",
+                "A4",
+                "Boeing314",
+                "F80C",
+                "J3Cub",
+                "OV10",
+                "T37",
+                "T38",
+                "XB-70",
+                "f16",
+                "c182",
+            )
+        ),
+    ],
+)
+def test_circuit_from_standing_to_standing(aircraft):
+    flown = Flown(scenario.parse({**scenario.load("airfield").data, "aircraft": aircraft}, "airfield.toml", "airfield"))
+    assert flown.error is None
+    truth = flown.truth
+    assert truth.on_ground[0]
+    assert truth.on_ground[-1]
+    assert truth.height_agl.max() > 300.0
+    assert np.linalg.norm(truth.vel_n[-1]) < 0.5
+    known = design(aircraft, "test")
+    off = int(np.flatnonzero(~truth.on_ground & (truth.airspeed > known.stall))[0])
+    assert truth.airspeed[off] < 1.5 * known.stall
+
+
+@pytest.mark.parametrize("aircraft", ["f16", "T38"])
+def test_five_g(aircraft):
+    start = {**AIR, "height_m": 3000.0, "airspeed_mps": 0.95 * design(aircraft, "test").fastest}
+    step = {"do": "windup_turn", "load_g": 5.0, "rate_dps": 8.0, "hold_s": 4.0}
+    flown = Flown(make(aircraft=aircraft, step=[step], start=start))
+    assert flown.error is None
+    load = np.linalg.norm(flown.truth.accel_b[-800:], axis=1) / 9.81
+    assert np.median(load) == pytest.approx(5.0, abs=0.4)
+
+
+def test_the_command_prints_the_design(capsys):
+    assert main(["aircraft", "c172p"]) == 0
+    text = capsys.readouterr().out
+    for word in ("stall", "cruise", "Dutch roll", "margins", "bank held", "853 kg"):
+        assert word in text
+    assert main(["aircraft", "c172p", "--json"]) == 0
+    assert from_text(capsys.readouterr().out) == design("c172p", "test")
+    assert main(["aircraft", "ball"]) == 2
+    assert "no glide is found" in capsys.readouterr().err
