@@ -66,7 +66,7 @@ def attempt(kind: str, number: int, seed: int, sound: Path, folder: Path) -> str
     file = folder / inputs.KINDS[kind].file
     content = (sound / file.name).read_bytes()
     file.write_bytes(mutate.MUTATORS[inputs.KINDS[kind].form](rng(kind, number, seed), content))
-    for beside in ("table.csv", "table.csv.map.toml", "flight.toml", "baseline.json"):
+    for beside in ("table.csv", *inputs.BESIDE):
         if beside != file.name:
             shutil.copy(sound / beside, folder)
     actions = inputs.KINDS[kind].actions
