@@ -158,7 +158,7 @@ def _unseen(x: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     for block in (slice(0, 3), slice(3, 9)):
         values, vectors = np.linalg.eigh(covariance[block, block])
         for value, vector in zip(values, vectors.T, strict=True):
-            if abs(float(vector @ x[block])) < _SIGNIFICANT * math.sqrt(value):
+            if abs(float(vector @ x[block])) < _SIGNIFICANT * math.sqrt(max(float(value), 0.0)):
                 whole = np.zeros(10)
                 whole[block] = vector
                 out.append(whole)

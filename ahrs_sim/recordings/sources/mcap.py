@@ -141,7 +141,7 @@ class Mcap:
         for number, (channel, schema) in numbers.items():
             try:
                 arrays.append(_DECODERS[channel.message_encoding](kind, schema, payloads[number]))
-            except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
+            except (ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError) as error:
                 raise InputError(f"{self.path}: topic {topic}: damaged: {one_line(error)}") from None
         array = np.concatenate(arrays)
         array = array[np.argsort(array["log_time"], kind="stable")]
