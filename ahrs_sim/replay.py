@@ -10,14 +10,14 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ahrs_sim import plugins
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.attitude import down
-from ahrs_sim.chain import recorded_chains
+from ahrs_sim.chain import Chain, recorded_chains
 from ahrs_sim.errors import FlightError, InputError
 from ahrs_sim.log.flight_log import EstimateTopics
 from ahrs_sim.log.flight_reader import FlightReader
@@ -28,6 +28,9 @@ from ahrs_sim.scenario import Component, Gate
 from ahrs_sim.scenario.table import parse_toml
 from ahrs_sim.sensors.records import SuiteBlock, within
 from estimators.types import Estimates, SensorInfo, Site, blank
+
+if TYPE_CHECKING:
+    from ahrs_sim.smoothing import Smoothing
 
 SCENARIO = "scenario.toml"
 
@@ -70,6 +73,7 @@ def replay(
     skip: float | None = None,
     until: float | None = None,
     only_estimates: bool = False,
+    smooth: bool = False,
     force: bool = False,
     live: Listener | None = None,
     gate: Gate = _FOREIGN,
@@ -90,6 +94,7 @@ def replay(
         date: of a bag whose times are no dates.
         skip, until: estimators see only what was measured in this span, s from the beginning.
         only_estimates: carry nothing along but the truth.
+        smooth: write what can be smoothed a second time, as `/est/NAME_smoothed`.
         force: replace an existing log.
         live: is given every message of the new log, too (see `ahrs_sim.log.live`).
         gate: what code from outside the recording or the map may run, besides that of `estimators`.
@@ -116,7 +121,9 @@ def replay(
                 if map_file or set(calibrate) - {"auto"} or sync or reference or date:
                     unneeded = "--map, --calibrate, --sync, --reference or --date"
                     raise InputError(f"{path}: a log of ours needs no {unneeded}; leave them out")
-                _run(_cut(of_flight(log, estimators, gate=gate), *span), output, prefixes, force, progress, live)
+                _run(
+                    _cut(of_flight(log, estimators, gate=gate), *span), output, prefixes, force, progress, live, smooth
+                )
                 return []
     from ahrs_sim.recordings.mapping import SUITE
     from ahrs_sim.recordings.recording import open_bag
@@ -145,7 +152,7 @@ def replay(
             metadata={"replay": bag.metadata},
             recorded=[name for name in bag.recorded if name not in {c.name for c in bag.estimators}],
         )
-        _run(recording, output, prefixes, force, progress, live)
+        _run(recording, output, prefixes, force, progress, live, smooth)
         return bag.notes + bag.counted()
 
 
@@ -299,12 +306,15 @@ def _run(
     force: bool,
     progress: Callable[[float, float | None], None],
     live: Listener | None,
+    smooth: bool,
 ) -> None:
     chains = recorded_chains(recording.estimators, recording.site, recording.sensors)
     names = [*(c.name for c in recording.estimators), *recording.recorded]
+    smoothing = _smoothing(chains) if smooth else None
     with LogWriter(output, epoch_ns=recording.epoch_ns, force=force, listener=live) as writer:
         passing = _CarryOver(recording, writer, prefixes)
         topics = EstimateTopics(writer, recording.epoch_ns, names)
+        afterwards = EstimateTopics(writer, recording.epoch_ns, smoothing.names if smoothing else [])
         for component in recording.estimators:
             writer.metadata(f"estimator {component.name}", {k: str(v) for k, v in component.settings.items()})
         writer.start()
@@ -321,13 +331,24 @@ def _run(
                 samples = chains[suite].assemble(block)
                 for name, estimates in chains[suite].estimate(samples):
                     topics.write(name, estimates)
+                if smoothing:
+                    smoothing.keep(suite, samples)
                 if len(samples):
                     reached = max(reached, float(samples.t[-1]))
             progress(reached, recording.duration)
-            passing.advance(recording.epoch_ns + round((reached - _HOLD_S) * 1e9))
+            if not smoothing:  # what is smoothed comes last and belongs to the beginning: all waits for it
+                passing.advance(recording.epoch_ns + round((reached - _HOLD_S) * 1e9))
+        for name, estimates in smoothing.smoothed() if smoothing else ():
+            afterwards.write(name, estimates)
         passing.rest()
     if failed := plugins.failures(e for chain in chains.values() for e in chain.estimators.values()):
         raise FlightError(f"{failed}; the log is complete: {output}")
+
+
+def _smoothing(chains: dict[str, Chain]) -> "Smoothing":
+    from ahrs_sim.smoothing import Smoothing  # loads the navigator's kernels
+
+    return Smoothing(chains)
 
 
 def _as_estimates(record: Any) -> Estimates:

@@ -45,6 +45,11 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument("--skip", type=positive, metavar="S", help="estimators see nothing of the first S seconds")
     command.add_argument("--until", type=positive, metavar="S", help="estimators see nothing after S seconds")
     command.add_argument("--align", choices=["heading", "frames"], help="remove a constant rotation before comparing")
+    command.add_argument(
+        "--smooth",
+        action="store_true",
+        help="besides, smoothed over the whole recording, as /est/NAME_smoothed (ins-cal)",
+    )
     command.add_argument("--sync", action="store_true", help="shift a bag's reference to the time of its gyro")
     command.add_argument("--reference", metavar="TOPIC", help="what a recording's errors are taken against")
     command.add_argument(
@@ -68,7 +73,7 @@ def run(arguments: argparse.Namespace) -> None:
         _find(arguments)
         return
     changed = arguments.map or arguments.calibrate or arguments.sync or arguments.align
-    changed = changed or arguments.skip or arguments.until or arguments.reference or arguments.date
+    changed = changed or arguments.smooth or arguments.skip or arguments.until or arguments.reference or arguments.date
     if not (arguments.output or changed or arguments.live is not None) and _evaluate_only(arguments):
         return
     live = open_live(arguments)
@@ -88,6 +93,7 @@ def run(arguments: argparse.Namespace) -> None:
                 skip=arguments.skip,
                 until=arguments.until,
                 only_estimates=arguments.output is None and live is None,
+                smooth=arguments.smooth,
                 force=arguments.force,
                 live=live,
                 gate=gate(arguments.allow_code),

@@ -53,6 +53,24 @@ def test_own_log_gives_the_same_bytes(flown: Path, tmp_path: Path) -> None:
         assert messages(flown, topic) == messages(out, topic), topic
 
 
+def test_smoothed_estimates_beside_the_filtered_ones(tmp_path: Path) -> None:
+    flight, out = tmp_path / "flight.mcap", tmp_path / "out.mcap"
+    pipeline.fly(scenario.load("circuit", duration=110.0, estimators=["ekf-chr"]), flight)
+    replay.replay(flight, out, estimators=["ins-cal@chr"], smooth=True)
+    with FlightReader(out) as log:
+        filtered, smoothed = log.estimates("ins-cal-chr"), log.estimates("ins-cal-chr_smoothed")
+    np.testing.assert_array_equal(filtered.t, smoothed.t)
+    assert (np.diff(smoothed.t) > 0.0).all()
+    known = np.isfinite(filtered.q_nb[:, 0])
+    spread = [np.trace(e.att_cov[known], axis1=1, axis2=2).mean() for e in (filtered, smoothed)]
+    assert spread[1] < 0.8 * spread[0]
+    assert smoothed.q_nb[-1] == pytest.approx(filtered.q_nb[-1], abs=1e-9)
+    assert "ins-cal-chr_smoothed" in compare.compare(out, start=25.0)["estimators"]
+    with pytest.raises(InputError, match="none of the estimators can be smoothed"):
+        replay.replay(flight, tmp_path / "none.mcap", smooth=True)
+    assert not (tmp_path / "none.mcap").exists()
+
+
 def test_attitudes_and_errors_for_plots(flown: Path) -> None:
     with FlightReader(flown) as log:
         truth = log.truth()
