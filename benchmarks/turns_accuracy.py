@@ -71,6 +71,18 @@ ROWS: dict[str, tuple[str, dict[str, Any], tuple[tuple[float, float], ...], tupl
         ((0.6, 0.35), (0.15, 0.22)),
         (0.5, 2.0),
     ),
+    "cal": (
+        "`ins-cal`: magnetometer, GNSS",
+        {"method": "ins-cal", "heading_aid": False},
+        ((0.42, 0.36), (0.14, 0.2)),
+        (0.5, 2.0),
+    ),
+    "cal-dual": (
+        "`ins-cal`: magnetometer, GNSS, two antennas",
+        {"method": "ins-cal"},
+        ((0.35, 0.2), (0.14, 0.2)),
+        (0.5, 2.0),
+    ),
     "outage": (
         "`ins21`: magnetometer, GNSS, airspeed; 60 s without GNSS in a turn",
         {"method": "ins21", "aiding": "gnss+airspeed", "heading_aid": False},
