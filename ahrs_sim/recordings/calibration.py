@@ -18,6 +18,7 @@ _POINTS = 3000
 _WORTH = 100  # independent readings of 1 uT, in the fit
 _DIRECTIONS = 12  # independent readings, in the sigmas: what is wrong with a field is wrong for a place and a direction
 _SIGNIFICANT = 2.5  # sigmas
+_FAR = 1e6  # of the median, T: what is larger is no reading
 _QUIET = 2e-7  # T: no sigma is smaller
 _TURN_BINS = 10
 _LOSS = 1e-6  # T: a field's error from which on a reading counts as disturbed
@@ -98,8 +99,12 @@ def fit_mag(mag: np.ndarray, turned: Turns, field: float | None) -> MagFit | Non
     if len(mag) < 50:
         return None
     scale = float(np.median(np.linalg.norm(mag, axis=1)))
-    if scale <= 0.0:
+    near = np.abs(mag).max(axis=1) < _FAR * scale  # single readings of a damaged file are anything
+    if not 0.0 < scale < _FAR or near.sum() < 50:
         return None
+    mag = mag[near]
+    sound = np.abs(np.concatenate([turned.before, turned.after], axis=1)).max(axis=1) < _FAR * scale
+    turned = Turns(turned.before[sound], turned.after[sound], turned.C[sound])
     centre = _centre(mag, turned, scale)
     points = _thinned(mag, centre)
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / math.sqrt(len(points))

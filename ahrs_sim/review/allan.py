@@ -471,7 +471,7 @@ def _fit(tau: np.ndarray, variance: np.ndarray, relative: np.ndarray, shared: fl
     the first pass.
     """
     size = float(variance.max())
-    if size == 0.0:
+    if not 1e-300 < size < 1e300:  # none, or numbers that are no measurements
         return np.zeros(3), np.zeros(3)
     variance = variance / size
     basis = np.column_stack([1.0 / tau, np.ones_like(tau), tau / 3.0])

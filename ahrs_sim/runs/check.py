@@ -173,6 +173,8 @@ def load(path: str | None = None, gate: scenarios.Gate = _FOREIGN) -> Suite:
     )
     limits.close()
     estimators = {name: _placed(t.data, file.parent) for name, t in table.named_tables("estimator").items()}
+    for settings in table.named_tables("estimator").values():
+        settings.text("suite")
     on = table.text("catalogue", None)
     if on:
         estimators |= {f"{method}-{on}": {"method": method, "suite": on} for method in _methods()}

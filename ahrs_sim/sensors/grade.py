@@ -27,6 +27,7 @@ from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.scenario.table import read_toml
 from ahrs_sim.world import gravity
 
+_LARGEST = 1e9  # that a figure may be
 MARKS = ("quoted", "firmware", "computed", "inferred", "chosen")
 """From the maker's paper, from its code, by calculation, by reasoning; `chosen`: how it is set up or installed here."""
 
@@ -122,6 +123,8 @@ def _entry(key: str, stated: Any, factor: float, where: str, default_source: str
     numbers = list(value) if isinstance(value, (list, tuple)) else [value]
     if not numbers or not all(isinstance(x, (int, float)) and math.isfinite(x) for x in numbers):
         raise InputError(f"{where}: {key}: {value!r} is neither a finite number nor a list of such; correct it")
+    if max(abs(x) for x in numbers) > _LARGEST:
+        raise InputError(f"{where}: {key}: {value!r} is out of range; no figure is beyond {_LARGEST:g}")
     written = tuple(float(x) for x in value) if isinstance(value, (list, tuple)) else float(value)
     return Entry(key, written, factor, source, mark)
 

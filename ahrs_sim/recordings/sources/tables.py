@@ -399,8 +399,15 @@ class Csv(Held):
     def _file(self, keys: Mapping[str, Any], table: Table, optional: bool) -> _File | None:
         """The file that a kind stands in, read once."""
         path = self._root
+        for name in ("separator", "decimal", "encoding", "comment", "file"):
+            if not isinstance(keys.get(name, ""), str):
+                raise table.error(name, f"{keys[name]!r} is not a text in quotes")
+        if not isinstance(keys.get("skip_rows", 0), int):
+            raise table.error("skip_rows", f"{keys['skip_rows']!r} is not a whole number")
         pattern = keys.get("file")
         if pattern is not None:
+            if not pattern or any(Path(one).is_absolute() or ".." in Path(one).parts for one in pattern.split("|")):
+                raise table.error("file", f"'{pattern}' is not the name of a file beside the recording")
             folder = path if path.is_dir() else path.parent
             found = [p for one in str(pattern).split("|") for p in sorted(folder.glob(one)) if p.is_file()]
             if not found and optional:
