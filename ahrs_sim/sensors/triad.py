@@ -173,9 +173,10 @@ def _triad(
             v = matrix[k, 0] * u[0] + matrix[k, 1] * u[1] + matrix[k, 2] * u[2] + square[k] * u[k] * u[k]
             e[k] = b[k] + rectification[k] * rms2[i]
             e[k] += g_matrix[k, 0] * f[0] + g_matrix[k, 1] * f[1] + g_matrix[k, 2] * f[2]
+            own = v - u[k]
             v += e[k] + noise[i, k]
-            if whole:
-                e[k] = v - noise[i, k] - u[k]
+            if whole:  # not v less the noise: its last digit would depend on that
+                e[k] += own
             top = limit[i, k]
             if v > top or v < -top:
                 v = min(max(v, -top), top)

@@ -245,7 +245,11 @@ def test_before_the_hand_over_it_flies_on_the_truth():
 def test_circuit_says_its_lineup():
     text = scenario.find("circuit").read_text(encoding="utf-8")
     data = tomllib.loads(text)
-    assert list(data["estimator"]) == ["ekf-chr", "ckf-chr", "cdkf-chr", "ekf-sbg"]
+    papers, practical = (
+        ["ekf-chr", "ckf-chr", "cdkf-chr", "ekf-sbg"],
+        ["ckf-air-chr", "air-ins-chr", "ins21-chr", "ins21-sbg"],
+    )
+    assert list(data["estimator"]) == papers + practical
     assert set(data["suite"]) == {"chr", "sbg"}
 
 
