@@ -178,7 +178,7 @@ def _check(file: Path, out: Path) -> object:
     suite = check.load(str(shutil.copy(file, out)))
     shutil.copy(file.parent / "baseline.json", suite.baseline)
     figures = {f.name: {"mine": {"all.tilt": [1.0] * len(f.seeds)}} for f in suite.flights}
-    return check.table(check.judge(suite, Found(figures, {})))
+    return check.table(check.compare(suite, Found(figures, {})))
 
 
 def _baseline(file: Path, out: Path) -> object:
@@ -188,7 +188,7 @@ def _baseline(file: Path, out: Path) -> object:
     shutil.copy(file, out / "b.json")
     suite = check.load(str(out / "s.toml"))
     figures = {f.name: {"mine": {"all.tilt": [1.0] * len(f.seeds)}} for f in suite.flights}
-    judged = check.judge(suite, Found(figures, {}))
+    judged = check.compare(suite, Found(figures, {}))
     check.renew(suite, Found(figures, {}), "fuzzed")
     return [check.table(judged), check.markdown(judged), check.junit(judged)]
 
