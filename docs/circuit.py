@@ -5,6 +5,7 @@ python docs/circuit.py
 
 import re
 import tempfile
+import textwrap
 from pathlib import Path
 
 import matplotlib
@@ -56,7 +57,13 @@ def table(result: dict) -> None:
     antennas = result | {"estimators": {name: rows[name] for name in TWO_ANTENNAS}}
     parts = ["```text", compare.table(shown), "```", "", "| | |", "|---|---|"]
     parts += [f"| `{name}` | {text} |" for name, text in ROWS]
-    parts += ["", CONDITIONS, "", "With the heading of two GNSS antennas besides (`heading_aid = true`):", ""]
+    parts += [
+        "",
+        *textwrap.wrap(CONDITIONS, 120),
+        "",
+        "With the heading of two GNSS antennas besides (`heading_aid = true`):",
+        "",
+    ]
     parts += ["```text", *compare.table(antennas).splitlines()[1:], "```"]
     readme = HERE.parent / "README.md"
     text = re.sub(
