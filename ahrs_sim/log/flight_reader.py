@@ -15,7 +15,7 @@ from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
 from ahrs_sim.log import messages
 from ahrs_sim.log.mcap.reader import LogReader, quaternion, stamps, vector
-from ahrs_sim.log.messages import LONGEST_S
+from ahrs_sim.log.messages import LATER, LONGEST_S
 from ahrs_sim.log.topics import (
     EVENTS,
     INSTRUMENTS,
@@ -206,7 +206,7 @@ class FlightReader(LogReader):
             missing = np.array(np.nan if f.metadata["dtype"] is float else 0)
             found[f.name] = np.broadcast_to(missing, (n, *f.metadata["shape"]))
         for path, name in STATE.fields.items():
-            if name in columns:
+            if name in columns and (path not in LATER or path in (messages.dtype.names or ())):
                 values = messages[path]
                 if values.dtype.names:
                     values = quaternion(values) if "w" in values.dtype.names else vector(values)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ahrs_sim.log.mcap.reader import quaternion, vector
 from ahrs_sim.log.mcap.writer import LogChannel, LogWriter
+from ahrs_sim.log.messages import LATER
 from ahrs_sim.sensors.records import (
     AirRecord,
     FixRecord,
@@ -68,6 +69,8 @@ class Route:
     def put(self, columns: dict[str, np.ndarray], array: np.ndarray) -> None:
         """Put an array from `LogReader.read` into the columns of a block, in place."""
         for path, place in self.fields.items():
+            if path in LATER and path not in (array.dtype.names or ()):
+                continue
             values = array
             for name in path.split("."):
                 values = values[name]

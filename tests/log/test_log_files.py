@@ -644,3 +644,16 @@ def test_all_real_recordings_can_be_read(path: Path) -> None:
             assert len(array) == about.count
             assert (np.diff(stamps(array)) >= 0).all()
         assert log.topics[topic].count
+
+
+def test_fields_of_later_versions_may_be_absent() -> None:
+    from ahrs_sim.log import messages
+    from ahrs_sim.log.mcap.cdr import message_dtype
+
+    for name, field in (("EstimatorState", "position_covariance"), ("ImuErrors", "gyro_effective_bias")):
+        kind = f"ahrs_sim_msgs/msg/{name}"
+        whole = message_dtype(messages.definitions(kind), kind)
+        older = np.dtype([(n, whole[n]) for n in whole.names if n != field])
+        assert messages.difference(kind, older) == ""
+        first = np.dtype([(n, whole[n]) for n in whole.names if n != whole.names[1]])
+        assert "is missing" in messages.difference(kind, first)
