@@ -187,8 +187,9 @@ def test_three_first_compilations_at_once(tmp_path: Path) -> None:
 import numpy as np, estimators
 from estimators.types import Samples
 t = np.arange(300) / 100
-rest = {"mag_b": np.tile([2e-5, 0, 4e-5], (300, 1))}
-still = Samples.make(t, np.zeros((300, 3)) + 1e-3, np.tile([0.0, 0.0, -9.8], (300, 1)), **rest)
+noise = np.random.default_rng(1).normal(size=(3, 300, 3))
+field = {"mag_b": np.array([2e-5, 0.0, 4e-5]) + 1e-7 * noise[2]}
+still = Samples.make(t, 1e-3 * noise[0], np.array([0.0, 0.0, -9.8]) + 1e-2 * noise[1], **field)
 print(estimators.create("marg-ekf", align_s=1.0).process(still).status[-1])
 """
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
