@@ -120,7 +120,7 @@ class JsbsimFlight:
         self._resting = [wow() > 0.0 for wow in self._contacts]  # skids: a contact that is there from the start
         self.done = False
         self.expected_duration: float | None = end if end < math.inf else None
-        if steps:
+        if steps and self._design is None:  # what other aircraft need for a step depends on their speeds
             expected = sum(step.expected() for step in steps)
             self.expected_duration = min(expected, end)
 

@@ -159,7 +159,6 @@ def test_what_cannot_be_flown_is_refused_in_one_line(aircraft, step, message):
                 "737",
                 "A320",
                 "A4",
-                "Boeing314",
                 "F80C",
                 "J3Cub",
                 "OV10",

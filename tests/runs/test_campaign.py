@@ -258,7 +258,7 @@ def test_tuning_finds_the_better_setting(short: Path, capsys: pytest.CaptureFixt
     text = short.read_text().replace("duration_s = 24.0", "duration_s = 40.0")
     short.write_text(text + 'noise = "practical"\nrate_noise = 1e-4\n')
     tune = ["--tune", "ekf.rate_noise=1e-4..1", "--metric", "total_rmse_deg", "--json", "--workers", "2"]
-    assert main(["campaign", str(short), "--runs", "4", *tune]) == 0
+    assert main(["campaign", str(short), "--runs", "8", *tune]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["settings"]["ekf.rate_noise"] > 1e-3
     assert found["low"] > 0

@@ -190,28 +190,29 @@ def test_the_standard_suite_has_every_scenario_and_method() -> None:
 
 # ----------------------------------------------------------------------------------------------- planted faults
 
-MARG, INS, ERROR, TILT, INS9 = (f"estimators/models/{m}.py" for m in ("marg", "ins", "attitude_error", "tilt", "ins9"))
+MARG, ERROR, TILT, INS9 = (f"estimators/models/{m}.py" for m in ("marg", "attitude_error", "tilt", "ins9"))
+INS, GNSS = "estimators/models/ins/mechanisation.py", "estimators/models/ins/aids/gnss.py"
 FAULTS: dict[str, list[tuple[str, str, str, str]]] = {  # one in each model, and who is to suffer
     "sign of a Jacobian term": [
         (MARG, "= a * dd + b * dc - c * db + d * da", "= -(a * dd + b * dc - c * db + d * da)", "marg-ekf"),
-        (INS, "F[V, PHI + 2] = down,", "F[V, PHI + 2] = -down,", "ins21"),
+        (INS, "F[V, PHI + 2] = down, -east", "F[V, PHI + 2] = -down, -east", "ins21"),
         (ERROR, "F[i, 3 + j] = -0.5 * dt * J[i, j]", "F[i, 3 + j] = 0.5 * dt * J[i, j]", "fakf"),
         (TILT, "H[i, j] = 1.0 if i == j else 0.0", "H[i, j] = (1.0 if i else -1.0) if i == j else 0.0", "sekf"),
         (INS9, "H[i, j] = 1.0 if j == 3 + i else 0.0", "H[i, j] = -1.0 if j == 3 + i else 0.0", "ins9-ekf"),
     ],
     "noise 3 x off": [
         (MARG, '["accel_sigma"] ** 2 * np.eye(3)', '["accel_sigma"] ** 2 * 9.0 * np.eye(3)', "marg-ckf"),
-        (INS, 'max(settings["velocity_share"]', 'max(3.0 * settings["velocity_share"]', "ins21"),
+        (GNSS, 'max(settings["velocity_share"]', 'max(3.0 * settings["velocity_share"]', "ins21"),
         (ERROR, "gyro_psd=0.5 * max(", "gyro_psd=4.5 * max(", "fakf"),
         (TILT, 'settings["accel_sigma"] ** 2,', 'settings["accel_sigma"] ** 2 * 9.0,', "sekf"),
         (INS9, '(settings["velocity_share"]', '(3.0 * settings["velocity_share"]', "ins9-ekf"),
     ],
     "lost bias": [
-        (MARG, "y[i] = x[4 + i] + x[7 + i]", "y[i] = x[4 + i]", "marg-cdkf"),
-        (INS, "(u[_W] - x[10]), 0.5 * dt * (u[_W + 1] - x[11]), ", "u[_W], 0.5 * dt * u[_W + 1], ", "air-ins"),
-        (ERROR, "turn(x, (u[0] - x[4]) * dt, (u[1] - x[5]) * dt,", "turn(x, u[0] * dt, u[1] * dt,", "fakf"),
-        (TILT, "u[i] -= memory[_BIAS + i]", "u[i] -= 0.0", "sekf"),
-        (INS9, "u[i] -= model.gyro_bias[i]", "u[i] -= 0.0", "ins9-ukf"),
+        (MARG, "y[i] = w[i] + x.gyro_bias[i]", "y[i] = w[i]", "marg-cdkf"),
+        (INS, "(w[0] - e[0]), 0.5 * dt * (w[1] - e[1]), ", "w[0], 0.5 * dt * w[1], ", "air-ins"),
+        (ERROR, "turn(x.q_nb, (w[0] - e[0]) * dt, (w[1] - e[1]) * dt,", "turn(x.q_nb, w[0] * dt, w[1] * dt,", "fakf"),
+        (TILT, "u.rate_b[i] -= memory.gyro_bias[i]", "u.rate_b[i] -= 0.0", "sekf"),
+        (INS9, "u.rate_b[i] -= model.gyro_bias[i]", "u.rate_b[i] -= 0.0", "ins9-ukf"),
     ],
 }
 
