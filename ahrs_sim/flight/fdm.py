@@ -15,6 +15,7 @@ import jsbsim
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.flight.model_files import check_model
 from ahrs_sim.scenario.shipped import aircraft_dir
+from ahrs_sim.scenario.table import is_file
 
 
 class _LastWords(jsbsim.FGLogger):
@@ -206,7 +207,7 @@ class Fdm:
             self.sources.append(path)
             for reference in re.findall(r'\bfile\s*=\s*"([^"]+)"', path.read_text(encoding="utf-8", errors="replace")):
                 file = reference if reference.endswith(".xml") else f"{reference}.xml"
-                found = [place / file for place in places if (place / file).is_file()]
+                found = [place / file for place in places if is_file(place / file)]
                 pending.extend(found[:1])
 
 
@@ -266,7 +267,7 @@ def aircraft() -> dict[str, Path]:
     found: dict[str, Path] = {}
     for root in (aircraft_dir(), library_dir() / "aircraft"):
         for folder in sorted(root.iterdir()) if root.is_dir() else ():
-            if (folder / f"{folder.name}.xml").is_file():
+            if is_file(folder / f"{folder.name}.xml"):
                 found.setdefault(folder.name, folder)
     return found
 
@@ -276,7 +277,7 @@ def _own_model(name: str, where: str) -> Path | None:
     if not ("/" in name or os.sep in name or name.endswith(".xml")):
         return None
     path = (Path(where).parent / Path(name).expanduser()).resolve()
-    if path.is_file():
+    if is_file(path):
         return path
     if not path.is_dir():
         raise InputError(f"{where}: aircraft: '{name}': there is no file or folder {path}")

@@ -14,6 +14,7 @@ from typing import Any
 import estimators
 from ahrs_sim.errors import InputError
 from ahrs_sim.plugins.border import Guarded, Processes
+from ahrs_sim.scenario.table import is_file
 from estimators import SensorInfo, Site
 
 __all__ = ["FMU", "LIBRARY", "Guarded", "Processes", "create", "failures", "located"]
@@ -72,7 +73,7 @@ def located(path: str, folder: Path) -> Path:
     """
     for base in (folder, Path()):
         found = base / path
-        if found.is_file():
+        if is_file(found):
             return found
     raise InputError(f"{path}: no such file beside the scenario ({folder}) or in the current folder")
 

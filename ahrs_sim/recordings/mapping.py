@@ -301,6 +301,8 @@ def _apart(source: Source, topics: Mapping[str, Topic], mapping: Map) -> dict[st
     ):
         for topic in _candidates(kind, topics, []):
             first = _first(source, topic.name)
+            if not {f"{place}_covariance", f"{other}_covariance"} <= set(first.dtype.names or ()):
+                continue  # something else than its name says
             if not len(first) or (first[f"{place}_covariance"][:, 0] == -1.0).all():
                 continue
             if (first[f"{other}_covariance"][:, 0] == -1.0).all():

@@ -51,7 +51,7 @@ from ahrs_sim.evaluation.phases import PHASES
 from ahrs_sim.runs import pool as flights
 from ahrs_sim.runs.pool import Run
 from ahrs_sim.scenario.shipped import scenario_dir
-from ahrs_sim.scenario.table import Table, read_toml
+from ahrs_sim.scenario.table import Table, is_file, read_toml
 
 STANDARD = Path(__file__).parents[2] / "tests" / "baselines" / "standard.toml"
 """The project's own suite; in a checkout only."""
@@ -196,7 +196,7 @@ def _placed(settings: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     method = str(settings.get("method", ""))
     kind, colon, place = ("lib", ":", method[4:]) if method.startswith("lib:") else ("", "", method)
     path, rest = (place, "") if kind else (place.rpartition(":")[0], f":{place.rpartition(':')[2]}")
-    if path and (folder / path).is_file():
+    if path and is_file(folder / path):
         return {**settings, "method": f"{kind}{colon}{(folder / path).resolve()}{rest}"}
     return dict(settings)
 
@@ -244,7 +244,7 @@ def _flight(table: Table, file: Path, estimators: Mapping[str, Any], gate: scena
     chosen = table.value("estimators", [])
     if not (isinstance(chosen, list) and all(isinstance(e, str) for e in chosen)):
         raise table.error("estimators", f"{chosen!r} is not a list of names")
-    path = str(beside) if beside.is_file() else name
+    path = str(beside) if is_file(beside) else name
     duration = table.number("duration_s", None, above=0.0)
     scenario = scenarios.load(path, seed=seeds[0], duration=duration, gate=gate)
     data = {**scenario.data, **({"estimator": dict(estimators)} if estimators else {})}

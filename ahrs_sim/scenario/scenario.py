@@ -17,7 +17,7 @@ from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.scenario.code import ANY, Gate, named
 from ahrs_sim.scenario.component import Component, estimator_component
 from ahrs_sim.scenario.shipped import scenario_dir
-from ahrs_sim.scenario.table import MAX_DEPTH, Table, read_toml
+from ahrs_sim.scenario.table import MAX_DEPTH, Table, is_file, read_toml
 
 TURBULENCE = {"none": 0.0, "light": 7.62, "moderate": 15.24, "severe": 22.86}
 """Severity -> wind speed at 20 ft above ground in m/s (25, 50, 75 ft/s; MIL-F-8785C, section 3.7.3)."""
@@ -120,7 +120,7 @@ def find(name: str) -> Path:
         InputError: there is neither.
     """
     path = Path(name)
-    if path.suffix == ".toml" or path.is_file():
+    if path.suffix == ".toml" or is_file(path):
         return path
     shipped = {p.stem: p for p in scenario_dir().glob("*.toml")}
     if name in shipped:
@@ -267,7 +267,7 @@ def _merged(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     if not parent:
         return _chosen(data, str(path))
     beside = path.parent / f"{parent}.toml"
-    base = beside if beside.is_file() else find(parent)
+    base = beside if is_file(beside) else find(parent)
     if base in (*seen, path):
         raise table.error("extends", f"'{parent}' leads back to this file; break the circle")
     if len(seen) == MAX_DEPTH:

@@ -267,6 +267,14 @@ def _fitting(asked: Key) -> Any:
     )
 
 
+def is_file(path: Path) -> bool:
+    """Tell whether there is a file; a name that no file can have is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def _closest(word: str, known: Sequence[str]) -> str:
     hint = nearest(word, known)
     return hint.split("'")[1] if hint.startswith("; did") else ""

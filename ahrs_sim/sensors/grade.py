@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ahrs_sim.errors import InputError, nearest
-from ahrs_sim.scenario.table import read_toml
+from ahrs_sim.scenario.table import is_file, read_toml
 from ahrs_sim.world import gravity
 
 _LARGEST = 1e9  # that a figure may be
@@ -214,7 +214,7 @@ def _find(name: str, where: str) -> Path:
     if not name.endswith(".toml"):
         raise InputError(f"{where}: grade: '{name}' is unknown{nearest(name, names())}; or a file: \"mine.toml\"")
     for folder in (Path(where.partition(":")[0]).parent, Path()):
-        if (folder / name).is_file():
+        if is_file(folder / name):
             return folder / name
     raise InputError(f"{where}: grade: {name}: no such file beside it or in the current folder")
 
