@@ -337,7 +337,8 @@ def _scenario_schema() -> dict[str, Any]:
         for kind, keys in faults().items()
     ]
     wind = _object(tables["wind"], [("gust", {"type": "array", "items": _object(tables["wind.gust"])})])
-    figures_too = [(k, v) for k, v in overrides.items() if k not in (*tables["suite.NAME"], "title", "extends")]
+    own = ("title", "extends", "calibration")
+    figures_too = [(k, v) for k, v in overrides.items() if k not in (*tables["suite.NAME"], *own)]
     suites = _object(tables["suite.NAME"], figures_too)
     more = [
         ("start", _object(tables["start"])),
@@ -359,7 +360,7 @@ def _motion_extra(keys: Keys) -> list[tuple[str, Any]]:
 
 
 def _grade_schema() -> dict[str, Any]:
-    properties: dict[str, Any] = {"title": {"type": "string"}, "extends": {"type": "string"}}
+    properties: dict[str, Any] = {name: {"type": "string"} for name in ("title", "extends", "calibration")}
     for section, rows in figures().items():
         keys: dict[str, Any] = {}
         for _, names, _, size in rows:

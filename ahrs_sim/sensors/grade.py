@@ -4,6 +4,7 @@ A grade is a TOML file in `grades/`:
 
     title = "CH Robotics CHR-6dm"
     extends = "other"                                # optional: what is not stated here is as there
+    calibration = "bench_calibration"                # optional: a grade for on top, what calibrating this one leaves
 
     [gyro]
     noise_density_dps_rthz = {value = 0.03, source = "GP9 data sheet", mark = "quoted"}
@@ -11,12 +12,16 @@ A grade is a TOML file in `grades/`:
 The unit is the end of the key, one of those of the figure's kind (`dps_rthz` or `dph_rthz`: the same figure). A vector
 has one number per axis; one number stands for all axes. A scenario overrides figures in dotted tables of the suite,
 where a bare number will do: `gyro.noise_density_dps_rthz = 0.05`. What nobody states is zero, that is, absent.
+
+Grades of parts make one of a suite: `grade = "bmi088 + rm3100 + zed_f9p"`; what a later one states replaces what an
+earlier one does.
 """
 
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import reduce
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
@@ -169,6 +174,7 @@ class Grade:
     layer: Layer
     sections: Mapping[str, Section]
     where: str
+    calibration: str | None = None  # the grade for on top that says what calibrating this one leaves
 
     def __contains__(self, section: str) -> bool:
         return section in self.layer
@@ -219,17 +225,17 @@ def _find(name: str, where: str) -> Path:
     raise InputError(f"{where}: grade: {name}: no such file beside it or in the current folder")
 
 
-def _read(name: str, sections: Mapping[str, Section], where: str, chain: tuple[str, ...] = ()) -> tuple[str, Layer]:
-    """Title and figures of a grade file, those it extends below."""
+def _read(name: str, sections: Mapping[str, Section], where: str, chain: tuple[str, ...] = ()) -> Grade:
+    """The grade of one file, with what it extends below."""
     path = _find(name, where)
     if str(path) in chain:
         raise InputError(f"{where}: extends: {' -> '.join((*chain, str(path)))} goes in a circle; remove one")
     table = read_toml(path)
-    title, base = table.text("title"), table.text("extends", None)
+    title, base, calibration = table.text("title"), table.text("extends", None), table.text("calibration", None)
     shown = path.name if name in names() else str(path)
     own = parse(table.rest(), sections, shown)
-    below = _read(base, sections, shown, (*chain, str(path)))[1] if base else {}
-    return title, _over(below, own)
+    below = _read(base, sections, shown, (*chain, str(path))).layer if base else {}
+    return Grade(name, title, _over(below, own), sections, shown, calibration)
 
 
 def _over(below: Layer, above: Layer) -> Layer:
@@ -239,10 +245,12 @@ def _over(below: Layer, above: Layer) -> Layer:
 def load(
     name: str, sections: Mapping[str, Section], overrides: Mapping[str, Any] | None = None, where: str = "grade"
 ) -> Grade:
-    """A grade by name with the scenario's overrides on top.
+    """A grade by name, or of parts by their names with " + " between, with the scenario's overrides on top.
 
     Raises:
         InputError: an unknown grade, or anything wrong in it or in the overrides.
     """
-    title, layer = _read(name, sections, where)
-    return Grade(name, title, _over(layer, parse(overrides or {}, sections, where, "scenario")), sections, where)
+    parts = [_read(part.strip(), sections, where) for part in name.split(" + ")]
+    layers = [*(part.layer for part in parts), parse(overrides or {}, sections, where, "scenario")]
+    calibration = next((part.calibration for part in reversed(parts) if part.calibration), None)
+    return Grade(name, "; ".join(p.title for p in parts), reduce(_over, layers), sections, where, calibration)

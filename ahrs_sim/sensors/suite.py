@@ -1,7 +1,7 @@
 """A sensor suite: the instruments of one grade in one place of the aircraft.
 
 [suite.chr]
-grade = "chr_6dm"
+grade = "chr_6dm"                    # or parts: "bmi088 + rm3100 + zed_f9p"
 position_m = [0.1, 0.0, -0.05]       # FRD from the centre of gravity at the start; absent: there
 yaw_deg = 90.0                       # mounting (roll, pitch, yaw), known to the unit: it sends body axes all the same
 mounting_error_deg = [0.0, 0.3, 0.0] # and what it does not know of its mounting
@@ -197,6 +197,8 @@ def _with_rate(overrides: dict[str, Any], rate: float | None) -> dict[str, Any]:
 def _choose(grade: Grade, wanted: Any, table: Table) -> tuple[str, ...]:
     """The instruments to carry: `wanted`, or all that the grade has."""
     there = tuple(name for name in INSTRUMENTS if name in grade)
+    if "imu" not in there:
+        raise table.error("grade", f'{grade.name} has no imu; put it together with one: "bmi088 + {grade.name}"')
     if wanted is None:
         return there
     if not isinstance(wanted, list) or not all(isinstance(x, str) for x in wanted):

@@ -20,6 +20,28 @@ def test_shipped_grades_are_whole() -> None:
     assert {row["grade"] for row in grades()} == set(names())
 
 
+def test_a_dozen_units_from_the_shop_state_what_matters() -> None:
+    imus = [name for name in names() if "imu" in load(name, SECTIONS) and name not in ("chr_6dm", "road_mems", "ideal")]
+    assert len(imus) >= 13
+    for name in imus:
+        for section in ("gyro", "accelerometer"):
+            stated = load(name, SECTIONS).layer[section]
+            assert {"noise_density", "bias_floor", "turn_on_bias", "scale", "misalignment"} <= set(stated)
+
+
+def test_grades_of_parts_make_one_suite() -> None:
+    made = suite("bmi088 + bench_calibration + rm3100 + zed_f9p + ms4525do")
+    assert made.has == ("imu", "magnetometer", "gnss", "air_data")
+    gyro = made.grade.figures("gyro", GyroFigures)
+    np.testing.assert_allclose(gyro.noise_density, np.radians(0.014))
+    np.testing.assert_allclose(gyro.turn_on_bias, np.radians(0.05))
+    assert made.grade.calibration == "bench_calibration"
+    assert load("stim300", SECTIONS).calibration is None
+    alone = load("bmi088", SECTIONS)
+    np.testing.assert_allclose(alone.figures("gyro", GyroFigures).turn_on_bias, np.radians(1.0))
+    assert load(str(alone.calibration), SECTIONS).layer
+
+
 def test_units_are_converted_and_vectors_broadcast() -> None:
     grade = load("chr_6dm", SECTIONS)
     gyro = grade.figures("gyro", GyroFigures)
@@ -42,6 +64,8 @@ def test_another_unit_of_the_same_figure_replaces_it() -> None:
     ("settings", "message"),
     [
         ({"grade": "chr_6dn"}, r"grade: 'chr_6dn' is unknown; did you mean 'chr_6dm'"),
+        ({"grade": "rm3100"}, r'grade: rm3100 has no imu; put it together with one: "bmi088 \+ rm3100"'),
+        ({"grade": "bmi088 + rm3110"}, r"grade: 'rm3110' is unknown; did you mean 'rm3100'"),
         ({"gyros": {"scale_percent": 1}}, r"gyros: unknown key; did you mean 'gyro'"),
         (
             {"gyro": {"noise_densty_dps_rthz": 1}},

@@ -20,7 +20,7 @@ SENSORS: dict[str, type[TriadFigures]] = {
 }
 
 
-def standing(grade: str, sensor: str, rate: float) -> tuple[TriadFigures, np.ndarray]:
+def standing(grade: str, sensor: str, rate: float, hours: float = HOURS) -> tuple[TriadFigures, np.ndarray]:
     """Samples (n, 3) of a sensor that does not move, at constant temperature, in blocks of 10 s."""
     loaded = load(grade, SECTIONS)
     fitting = Fitting(
@@ -41,7 +41,7 @@ def standing(grade: str, sensor: str, rate: float) -> tuple[TriadFigures, np.nda
     truth = {"gyro": [0.0, 0.0, 0.0], "accelerometer": [0.0, 0.0, -9.81], "magnetometer": [2.2e-5, 0.0, 4.2e-5]}
     size = int(10 * rate)
     u, t, extra = np.tile(truth[sensor], (size, 1)), np.arange(size) / rate, np.zeros(size)
-    blocks = [triad.measure(u, slice(0, size, 1), t, extra)[0] for _ in range(int(HOURS * 360))]
+    blocks = [triad.measure(u, slice(0, size, 1), t, extra)[0] for _ in range(int(hours * 360))]
     return figures, np.vstack(blocks)
 
 
@@ -64,3 +64,25 @@ def test_six_hours_give_the_grade_back(grade: str, sensor: str, rate: float) -> 
     seen = (table.tau > 1.0) & (table.tau < 300.0)
     ratio = (table.deviation[seen] / np.sqrt(model[seen])).mean(axis=1)
     assert np.abs(ratio - 1.0).max() < 0.12
+
+
+SHOP = (
+    "adis16470", "adis16505_2", "bmi088", "bmi270", "hg4930", "icm42688p", "lsm6dsv", "mti_3", "sbg_ellipse",
+    "sbg_pulse_40", "stim300", "vn_100",
+)  # fmt: skip
+CASES = [(grade, sensor) for grade in SHOP for sensor in ("gyro", "accelerometer")]
+CASES += [(grade, "magnetometer") for grade in ("ist8310", "mmc5983ma", "qmc5883l", "rm3100", "mti_3", "vn_100")]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("grade", "sensor"), CASES)
+def test_sixty_hours_give_the_data_sheet_back(grade: str, sensor: str) -> None:
+    """At 10 Hz, so that the floor of a tactical unit, which shows after minutes, is seen often enough."""
+    rate = 10.0
+    figures, series = standing(grade, sensor, rate, hours=60.0)
+    table = allan_table(series, rate)
+    quantised = figures.quantum**2 / 6.0 / rate  # density^2 of rounding, uniform over a step
+    density = np.sqrt(figures.noise_density**2 + quantised)
+    np.testing.assert_allclose(table.density.value, density, rtol=0.05)
+    if figures.bias_floor.any():
+        np.testing.assert_allclose(table.floor.value, figures.bias_floor, rtol=0.15)
