@@ -60,8 +60,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _failed(str(error), error.exit_code)
     except EstimationError as error:
         return _failed(str(error), 2)
-    except KeyboardInterrupt:
-        return _failed("stopped", 130)
+    except KeyboardInterrupt as error:
+        return _failed(str(error) or "stopped", 130)
     except BrokenPipeError:  # `ahrs-sim info LOG | head`
         sys.stderr.close()
         return 0

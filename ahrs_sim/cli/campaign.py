@@ -2,10 +2,11 @@
 
 import argparse
 import json
+import sys
 from pathlib import Path
 
 from ahrs_sim.cli.common import Commands, Progress, add_estimators, count, gate, natural, positive
-from ahrs_sim.errors import InputError
+from ahrs_sim.errors import InputError, nearest
 
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
@@ -31,6 +32,10 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     where.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster, e.g. tcp://head:8786")
     command.add_argument("--keep-logs", metavar="worst:N", help="logs of the N worst runs, or all")
     command.add_argument("--metric", default="tilt_rmse_deg", metavar="FIGURE", help="figure used to rank runs")
+    command.add_argument("--worst-of", metavar="NAME", help="rank runs by this estimator (default: the worst of each)")
+    command.add_argument(
+        "--against", metavar="NAME", help="paired differences from this estimator (default: the most accurate)"
+    )
     command.add_argument(
         "--tune",
         action="append",
@@ -56,6 +61,10 @@ def run(arguments: argparse.Namespace) -> int:
         estimators=arguments.estimator,
         gate=gate(scenarios.ANY, arguments.quiet),
     )
+    campaign_report.check_metric(arguments.metric)
+    for option, name in (("--worst-of", arguments.worst_of), ("--against", arguments.against)):
+        if name is not None and name not in (known := [e.name for e in scenario.estimators]):
+            raise InputError(f"{option} {name}: no such estimator in {scenario.name}{nearest(name, known)}")
     plan = campaign.Plan.make(scenario, arguments.runs, arguments.vary)
     keep = _worst(arguments.keep_logs, arguments.runs)
     hidden = arguments.quiet or arguments.json
@@ -72,15 +81,22 @@ def run(arguments: argparse.Namespace) -> int:
     store = campaign.Store(arguments.output)
     if keep and store.remote:
         raise InputError("--keep-logs needs a local -o; fly single runs with ahrs-sim fly --from DIR --run N")
-    with pools.pool(arguments.workers, arguments.scheduler) as pool:
-        campaign.fly(plan, store, pool, Progress(f"flying {plan.name}", unit="runs", hidden=hidden))
+    if (there := campaign.begin(plan, store)) and not arguments.quiet:
+        print(f"{store.place}: {there} of {plan.runs} runs are there, {plan.runs - there} to fly", file=sys.stderr)
+    try:
+        with pools.pool(arguments.workers, arguments.scheduler) as pool:
+            campaign.fly(plan, store, pool, Progress(f"flying {plan.name}", unit="runs", hidden=hidden))
+    except KeyboardInterrupt:
+        there = campaign.begin(plan, store)
+        kept = f"{there} of {plan.runs} runs are in {store.place}; the same command flies the rest"
+        raise KeyboardInterrupt(f"stopped; {kept}") from None
     if keep:
-        worst = campaign_report.worst_runs(store, arguments.metric, keep)
+        worst = campaign_report.worst_runs(store, arguments.metric, keep, arguments.worst_of)
         with pools.local_pool(arguments.workers) as pool:  # the workers of a cluster may not see this disk
             for _ in campaign.keep_logs(plan, worst, Path(arguments.output) / "logs", pool):
                 pass  # runs that fail leave a log up to there
     Progress.clear()
-    report = campaign_report.make(store, arguments.metric)
+    report = campaign_report.make(store, arguments.metric, against=arguments.against, worst_of=arguments.worst_of)
     text = campaign_report.text(report)
     store.write("report.json", json.dumps(report, indent=1).encode())
     store.write("report.txt", f"{text}\n".encode())

@@ -16,6 +16,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument("--reference", metavar="NAME", help="an estimator or any orientation topic, not the truth")
     command.add_argument("--align", choices=["heading", "frames"], help="remove a constant rotation before comparing")
     command.add_argument("--sync", action="store_true", help="remove a constant delay before comparing")
+    command.add_argument("--against", metavar="NAME", help="paired differences of every estimator from this one")
     add_span(command)
     command.add_argument("--lag", action="store_true", help="how late every attitude and its rate are, ms")
     command.add_argument("--all", action="store_true", help="print 95th percentiles and maxima of every angle, too")
@@ -40,7 +41,8 @@ def run(arguments: argparse.Namespace) -> None:
 
         figures.require()  # before anything is computed
     span = {"reference": arguments.reference, "start": arguments.start, "end": arguments.end}
-    results = [compare.compare(log, **span, align=arguments.align, sync=arguments.sync) for log in arguments.log]
+    options = {"align": arguments.align, "sync": arguments.sync}
+    results = [compare.compare(log, **span, **options, against=arguments.against) for log in arguments.log]
     texts = [compare.table(result, details=arguments.all) for result in results]
     if arguments.lag:
         from ahrs_sim.review import lag
@@ -56,10 +58,12 @@ def run(arguments: argparse.Namespace) -> None:
         first, *rest = (compare.csv(result) for result in results)
         print("\n".join([first, *(text.partition("\n")[2] for text in rest)]))
     else:
+        if arguments.against and len(results) > 1:
+            texts[-1] += f"\n\n{compare.over_logs(results, arguments.against)}"
         titles = [f"{log}\n" if len(results) > 1 else "" for log in arguments.log]
         print("\n\n".join(title + text for title, text in zip(titles, texts, strict=True)))
     if arguments.report or arguments.png:
-        _draw(arguments, span | {"align": arguments.align, "sync": arguments.sync})
+        _draw(arguments, span | options)
 
 
 def _draw(arguments: argparse.Namespace, span: dict[str, Any]) -> None:

@@ -53,8 +53,12 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     return command
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Fly a scenario into a log and print the accuracy table; returns 130 when stopped by Ctrl-C."""
+def run(arguments: argparse.Namespace) -> None:
+    """Fly a scenario into a log and print the accuracy table.
+
+    Raises:
+        KeyboardInterrupt: stopped by Ctrl-C, after log and table have been completed.
+    """
     scenario = _scenario(arguments)
     output = _output(arguments, scenario)
 
@@ -107,7 +111,8 @@ def run(arguments: argparse.Namespace) -> int:
             print(*([compare.table(result, details=arguments.all)] if scenario.estimators else []), output, sep="\n")
     if failure:
         raise failure
-    return 130 if stop else 0
+    if stop:
+        raise KeyboardInterrupt(f"stopped at {accuracy.span()[1]:.0f} s; the log is complete up to there")
 
 
 def _compile(scenario: "Scenario", hidden: bool) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_sim.evaluation import consistency, metrics, phases
+from ahrs_sim.evaluation import consistency, metrics, paired, phases
 from ahrs_sim.evaluation.decimate import Decimator, take
 from ahrs_sim.evaluation.evaluator import Comparison, Evaluator
 from ahrs_sim.evaluation.metrics import History, Measure
@@ -97,10 +97,7 @@ class Accuracy:
             What `review.compare.compare` returns, but for the name of the log.
         """
         first, last = self.span()
-        t_phase, phase = np.empty(0), np.empty(0, np.int8)
-        if sum(len(part[0]) for part in self._coarse) >= 2:
-            t_phase, q_nb, vel_n, on_ground = (np.concatenate(c) for c in zip(*self._coarse, strict=True))
-            phase = phases.classify(t_phase, q_nb, vel_n, on_ground).astype(np.int8)
+        t_phase, phase = self.phases()
         found = {}
         for name, parts in self._parts.items():
             t, errors, columns = _within(parts, low, high)
@@ -113,6 +110,39 @@ class Accuracy:
             "from_s": max(low, first),
             "to_s": min(high, last),
             "estimators": found,
+        }
+
+    def phases(self) -> tuple[np.ndarray, np.ndarray]:
+        """Find the phases of the flight: times (n,) s, rising, and indices into `PHASES` (n,); none without a truth."""
+        if sum(len(part[0]) for part in self._coarse) < 2:
+            return np.empty(0), np.empty(0, np.int8)
+        t, q_nb, vel_n, on_ground = (np.concatenate(c) for c in zip(*self._coarse, strict=True))
+        return t, phases.classify(t, q_nb, vel_n, on_ground).astype(np.int8)
+
+    def paired(self, against: str, *, low: float = -math.inf, high: float = math.inf) -> dict[str, dict[str, Any]]:
+        """Compare every other estimator with `against` on the same seconds between `low` and `high` (s).
+
+        Returns:
+            By estimator: `MEASURE_rmse_deg`, each a `paired.Difference.plain` or None, and the same by phase.
+        """
+        spans = {name: _within(parts, low, high) for name, parts in self._parts.items()}
+        last = max((t[-1] for t, _, _ in spans.values() if len(t)), default=0.0)
+        bins = int(last / paired.BIN_S) + 2
+        binned = {
+            name: paired.Binned.of(t, np.concatenate([np.empty((0, len(Measure)), np.float32), *errors]), bins)
+            for name, (t, errors, _) in spans.items()
+        }
+        phase = phases.at(*self.phases(), (np.arange(bins) + 0.5) * paired.BIN_S)
+        rows = {"": np.ones(bins, bool), **{PHASES[i]: phase == i for i in range(len(PHASES)) if np.any(phase == i)}}
+
+        def of(name: str, chosen: np.ndarray) -> dict[str, Any]:
+            pairs = {m: paired.over_time(binned[name], binned[against], m, chosen) for m in Measure}
+            return {f"{metrics.MEASURES[m]}_rmse_deg": d and d.plain() for m, d in pairs.items()}
+
+        return {
+            name: {**of(name, rows[""]), "phases": {p: of(name, r) for p, r in rows.items() if p}}
+            for name in binned
+            if name != against
         }
 
 

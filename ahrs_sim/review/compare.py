@@ -3,7 +3,7 @@
 import csv as csv_form
 import io
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from ahrs_sim import attitude
 from ahrs_sim.errors import InputError, nearest
-from ahrs_sim.evaluation import metrics
+from ahrs_sim.evaluation import metrics, paired
 from ahrs_sim.evaluation.accuracy import Accuracy
 from ahrs_sim.evaluation.metrics import History
 from ahrs_sim.evaluation.phases import PHASES
@@ -38,6 +38,7 @@ def compare(
     band_s: float | None = None,
     align: str | None = None,
     sync: bool = False,
+    against: str | None = None,
 ) -> dict[str, Any]:
     """Compute errors of every estimator in a log.
 
@@ -49,11 +50,13 @@ def compare(
         align: remove a constant rotation of each estimator before comparing: "heading" (about
             down), or "frames" (one in each frame).
         sync: remove a constant delay of each estimator before comparing.
+        against: an estimator of the log: also differences of all others from it, on the same seconds.
         band_s: for campaigns: also the RMSE of every so many seconds, and mean NEES and NIS per degree of freedom.
 
     Returns:
         {"log", "reference", "from_s", "to_s", "estimators": {NAME: {"tilt_rmse_deg"..., "availability",
-        "phases": {PHASE: {...}}}}}; with `align` "aligned_deg" and with `sync` "delay_s"; with `band_s` also "nees",
+        "phases": {PHASE: {...}}}}}; with `align` "aligned_deg" and with `sync` "delay_s"; with `against`
+        "paired": {"against", "estimators": `Accuracy.paired`}; with `band_s` also "nees",
         "nis" and "bands": {MEASURE: [...]}. A value that is not known (a heading that the method does not estimate)
         is None.
 
@@ -67,23 +70,27 @@ def compare(
             raise InputError(
                 f"{path}: no estimates in it (no topic /est/NAME/state); replay it with an estimator first"
             )
+        if against is not None and against not in names:
+            raise InputError(f"{path}: --against {against}: no such estimator in this log{nearest(against, names)}")
         has_truth = TRUTH_TOPIC in log.topics
         if reference is None and not has_truth and REFERENCE.topic in log.topics:
             reference = REFERENCE.topic
-        against: dict[str, History] | None = None
+        references: dict[str, History] | None = None
         removed: dict[str, dict[str, Any]] = {name: {} for name in names}
         if reference is not None or align is not None or sync:
             history = attitudes(log, reference)
             adjusted = {name: aligned(log, name, history, low, high, align, sync) for name in names}
-            against = {name: a for name, (a, _) in adjusted.items()}
+            references = {name: a for name, (a, _) in adjusted.items()}
             removed = {name: r for name, (_, r) in adjusted.items()}
         elif not has_truth:
             raise InputError(f"{path}: no {TRUTH_TOPIC} in it: there is nothing to compare with")
-        accuracy = Accuracy(names, against=against, with_consistency=band_s is not None)
+        accuracy = Accuracy(names, against=references, with_consistency=band_s is not None)
         read_into(accuracy, log, names, with_consistency=band_s is not None)
     result = result_of(accuracy, path, reference or "truth", low, high, band_s=band_s)
     for name, values in removed.items():
         result["estimators"][name] |= values
+    if against is not None:
+        result["paired"] = {"against": against, "estimators": accuracy.paired(against, low=low, high=high)}
     return result
 
 
@@ -242,10 +249,41 @@ def table(result: dict[str, Any], *, details: bool = False) -> str:
             print(f"{name:{width}s} {removed}", file=out)
     if steep := max((values.get("steep", 0.0) for values in rows.values()), default=0.0):
         print(f"roll and heading leave out {100 * steep:.1f} %: nose within 6 deg of the vertical", file=out)
+    if "paired" in result:
+        print(file=out)
+        _paired(result["paired"], [name for name in rows if name != result["paired"]["against"]], width, details, out)
     if details:
         print(file=out)
         _details(rows, width, out)
     return out.getvalue().rstrip()
+
+
+def _paired(found: Mapping[str, Any], names: Iterable[str], width: int, details: bool, out: io.StringIO) -> None:
+    """Print the differences from one estimator, best tilt first; `details` adds the phases."""
+    print(f"less that of {found['against']} on the same seconds, RMS error, deg (95 %; negative: better)", file=out)
+    print(f"{'':{width}s}{'tilt':>30s}{'heading':>32s}", file=out)
+    for name in names:
+        values = found["estimators"][name]
+        for phase, cells in {"": values, **(values["phases"] if details else {})}.items():
+            title = f"  {phase}" if phase else name
+            tilt, heading = (paired.cells(cells[f"{m}_rmse_deg"]) for m in ("tilt", "heading"))
+            print(f"{title:{width}s}{tilt}  {heading}", file=out)
+    print("of this flight; with other errors of the sensors: ahrs-sim campaign ... --against", file=out)
+
+
+def over_logs(results: Sequence[Mapping[str, Any]], against: str) -> str:
+    """Format differences from one estimator over several logs, a pair each: tilt and heading over the whole flight."""
+    names = [n for n in results[0]["estimators"] if n != against and all(n in r["estimators"] for r in results)]
+    width = max(10, *(len(n) for n in [*names, ""]))
+    lines = [f"less that of {against} over {len(results)} logs, RMS error, deg (95 %; negative: better)"]
+    for name in names:
+        cells = []
+        for key in ("tilt_rmse_deg", "heading_rmse_deg"):
+            one, other = (np.array([r["estimators"][n][key] for r in results], float) for n in (name, against))
+            difference = paired.over_runs(one, other)
+            cells.append(paired.cells(difference.plain() if difference else None))
+        lines.append(f"{name:{width}s}{'  '.join(cells)}")
+    return "\n".join(lines)
 
 
 def _details(rows: Mapping[str, Any], width: int, out: io.StringIO) -> None:

@@ -453,6 +453,16 @@ def _arrow_types(plan: Plan, pa: Any) -> Callable[[str], Any]:
 # ----------------------------------------------------------------------------------------------- flying
 
 
+def begin(plan: Plan, store: Store) -> int:
+    """Write the plan into its store, or check that it is the one there; returns how many of its runs have been flown.
+
+    Raises:
+        InputError: the store holds a different campaign.
+    """
+    store.begin(plan)
+    return len(store.done().intersection(range(plan.runs)))
+
+
 def fly(plan: Plan, store: Store, pool: Pool, progress: Callable[[int, int], None] = lambda done, all_: None) -> int:
     """Fly what is missing of a campaign into its store.
 

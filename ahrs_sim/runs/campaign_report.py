@@ -1,4 +1,4 @@
-"""Report of a campaign, from its data set: distributions, bands over time, sensitivities, consistency, worst runs."""
+"""Report of a campaign, from its data set: distributions, paired differences, sensitivities, bands, worst runs."""
 
 import io
 import math
@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from ahrs_sim.errors import InputError, nearest
+from ahrs_sim.evaluation import metrics, paired
+from ahrs_sim.evaluation.phases import PHASES
 from ahrs_sim.runs.campaign import Store
 
 METRIC = "tilt_rmse_deg"
@@ -15,12 +18,16 @@ WORST = 5
 _ROWS = 15  # lines of a table over time
 
 
-def make(store: Store, metric: str = METRIC) -> dict[str, Any]:
+def make(
+    store: Store, metric: str = METRIC, *, against: str | None = None, worst_of: str | None = None
+) -> dict[str, Any]:
     """Make the report as plain data for JSON; None: not known.
 
     Args:
         store: of the campaign.
         metric: the column by which runs are called bad.
+        against: the estimator from which differences of the others are taken; None: the one with the least `metric`.
+        worst_of: the estimator by which runs are called bad; None: whichever has the largest `metric`.
     """
     plan = store.plan()
     names = store.column_names()
@@ -50,15 +57,44 @@ def make(store: Store, metric: str = METRIC) -> dict[str, Any]:
             "sensitivity": {v[5:]: _sensitivity(own[v], own) for v in varied if own[v].dtype.kind in "fb"},
             "bands": {m: _bands(store, estimator, f"bands.{m}") for m in ("tilt", "heading") if f"bands.{m}" in names},
         }
+    against = against or _least(report["estimators"], metric)
+    if against is not None and len(estimators) > 1:
+        report["paired"] = {"against": against, "estimators": _paired(columns, estimators, against, metric)}
+    report["worst_of"] = worst_of
     report["worst"] = [
         {
             "run": run,
+            "estimator": estimator,
             metric: value if math.isfinite(value) else None,
             "fly": f"ahrs-sim fly --from {store.place} --run {run}",
         }
-        for run, value in worst(columns, metric, WORST)
+        for run, estimator, value in worst(columns, metric, WORST, worst_of)
     ]
     return report
+
+
+def _least(estimators: dict[str, Any], metric: str) -> str | None:
+    """Find the estimator whose metric is the least on average."""
+    means = {name: values["distribution"].get(metric, {}).get("mean") for name, values in estimators.items()}
+    known = {name: mean for name, mean in means.items() if mean is not None}
+    return min(known, key=lambda name: known[name]) if known else None
+
+
+def _paired(columns: dict[str, np.ndarray], estimators: list[str], against: str, metric: str) -> dict[str, Any]:
+    """Differences of every estimator from `against` in the same runs, by figure."""
+    runs, place = np.unique(columns["run"], return_inverse=True)
+    found: dict[str, Any] = {name: {} for name in estimators if name != against}
+    for figure in dict.fromkeys([*FIGURES[:2], metric]):
+        if figure not in columns:
+            continue
+        by_name = {name: np.full(len(runs), np.nan) for name in estimators}
+        for name, values in by_name.items():
+            own = columns["estimator"] == name
+            values[place[own]] = columns[figure][own]
+        for name in found:
+            difference = paired.over_runs(by_name[name], by_name[against])
+            found[name][figure] = difference and difference.plain()
+    return found
 
 
 def _kind(name: str, values: list[Any]) -> Any:
@@ -117,31 +153,59 @@ def _bands(store: Store, estimator: str, column: str) -> dict[str, list[float | 
     return bands
 
 
-def worst(columns: dict[str, np.ndarray], metric: str, count: int) -> list[tuple[int, float]]:
-    """Find the runs with the largest value of a metric in any estimator, worst first; failed ones: infinite."""
-    value: dict[int, float] = {}
+def worst(
+    columns: dict[str, np.ndarray], metric: str, count: int, of: str | None = None
+) -> list[tuple[int, str | None, float]]:
+    """Find the runs with the largest value of a metric, worst first.
+
+    Args:
+        columns: run, estimator and the metric.
+        metric: a column.
+        count: of runs.
+        of: the estimator that counts; None: any.
+
+    Returns:
+        Run, estimator (None: the run failed) and value (then infinite) of each.
+    """
+    value: dict[int, tuple[float, str | None]] = {}
     figures = columns.get(metric, np.full(len(columns["run"]), np.nan))
     for run, estimator, figure in zip(columns["run"], columns["estimator"], figures, strict=True):
         bad = math.inf if estimator is None else float(figure)
-        if not math.isnan(bad):
-            value[int(run)] = max(value.get(int(run), -math.inf), bad)
-    return sorted(value.items(), key=lambda item: (-item[1], item[0]))[:count]
+        if math.isnan(bad) or (of is not None and estimator not in (None, of)):
+            continue
+        if int(run) not in value or bad > value[int(run)][0]:
+            value[int(run)] = bad, estimator
+    order = sorted(value.items(), key=lambda item: (-item[1][0], item[0]))
+    return [(run, estimator, bad) for run, (bad, estimator) in order[:count]]
 
 
-def worst_runs(store: Store, metric: str, count: int) -> list[int]:
-    """Numbers of the worst runs of a campaign.
+def worst_runs(store: Store, metric: str, count: int, of: str | None = None) -> list[int]:
+    """Numbers of the worst runs of a campaign; see `worst`.
 
     Raises:
         InputError: the metric is no column of it.
     """
-    from ahrs_sim.errors import InputError, nearest
-
     names = store.column_names()
     if metric not in names and "availability" in names:  # else every run has failed
         raise InputError(f"--metric {metric}: not in {store.place}{nearest(metric, names)}")
     table = store.table(["run", "estimator", metric]).to_pydict()
     columns = {name: np.array(values, dtype=_kind(name, values)) for name, values in table.items()}
-    return [run for run, _ in worst(columns, metric, count)]
+    return [run for run, _, _ in worst(columns, metric, count, of)]
+
+
+def check_metric(metric: str) -> None:
+    """Check that a flight has a figure of this name, before anything is flown.
+
+    Raises:
+        InputError: it has not.
+    """
+    of_angles = [f"{m}_{s}_deg" for m in metrics.MEASURES for s in metrics.STATISTICS]
+    phase, dot, figure = metric.rpartition(".")
+    if figure in of_angles and (not dot or phase in PHASES):
+        return
+    known = [*of_angles, "availability", "nees", "nis"]
+    if metric not in known:
+        raise InputError(f"--metric {metric}: no such figure{nearest(metric, known)} (or PHASE. before it)")
 
 
 def text(report: dict[str, Any]) -> str:
@@ -157,6 +221,8 @@ def text(report: dict[str, Any]) -> str:
         print(f"\n{figure} over runs\n{'':{width}s}{heads}", file=out)
         for name, values in estimators.items():
             print(f"{name:{width}s}{_cells(values['distribution'].get(figure, {}))}", file=out)
+    if "paired" in report:
+        _differences(report["paired"], width, out)
     print(f"\nNEES and NIS per degree of freedom, mean of a run (1: consistent; above 1: overconfident)\n{'':{width}s}"
           f"{'NEES p50':>9s}{'p95':>9s}{'NIS p50':>9s}{'p95':>9s}", file=out)  # fmt: skip
     for name, values in estimators.items():
@@ -165,11 +231,26 @@ def text(report: dict[str, Any]) -> str:
     _sensitivities(estimators, width, out)
     _over_time(report, width, out)
     if report["worst"]:
-        print(f"\nworst runs by {report['metric']} of any estimator", file=out)
+        print(f"\nworst runs by {report['metric']} of {report['worst_of'] or 'any estimator'}", file=out)
         for row in report["worst"]:
             value = row[report["metric"]]
-            print(f"  {row['run']:6d} {'  failed' if value is None else f'{value:8.3f}'}   {row['fly']}", file=out)
+            cell = "  failed" if value is None else f"{value:8.3f}"
+            print(f"  {row['run']:6d} {cell}  {row['estimator'] or '':{width - 2}s} {row['fly']}", file=out)
     return out.getvalue().rstrip()
+
+
+def _differences(found: dict[str, Any], width: int, out: io.StringIO) -> None:
+    for figure in dict.fromkeys(f for values in found["estimators"].values() for f in values):
+        print(f"\n{figure} less that of {found['against']} on the same seeds (negative: better)", file=out)
+        print(f"{'':{width}s}{'mean':>9s}{'95 % from':>11s}{'to':>9s}{'smaller in':>15s}", file=out)
+        for name, values in found["estimators"].items():
+            if (d := values[figure]) is None:
+                print(f"{name:{width}s}{'-':>9s}   in no run both have one", file=out)
+                continue
+            few = f"; {paired.FEWEST} runs are the least that can tell" if d["low"] is None else ""
+            count = f"{d['smaller']} of {d['pairs']}"
+            span = f"{_number(d['low'])[1:]:>11s}{_number(d['high'])}"
+            print(f"{name:{width}s}{d['change']:+9.3f}{span}{count:>15s}  {d['result']}{few}", file=out)
 
 
 def _sensitivities(estimators: dict[str, Any], width: int, out: io.StringIO) -> None:

@@ -1,7 +1,7 @@
 """`ahrs-sim campaign --tune`: settings of an estimator that minimise an error over a small campaign.
 
 The search sees the runs 0 to N-1. N others that it has never seen are flown with the settings as they were and as they
-are now; the result is the mean difference with its bootstrap interval.
+are now; the result is the mean paired difference with its interval.
 """
 
 import math
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim.errors import CheckError, InputError, nearest
-from ahrs_sim.evaluation.bootstrap import interval
+from ahrs_sim.evaluation import paired
 from ahrs_sim.runs import pool as flights
 from ahrs_sim.runs.campaign import Plan, put, span
 from ahrs_sim.runs.pool import Pool
@@ -64,20 +64,35 @@ class Tuned:
     before: float  # mean over the held-out runs
     after: float
     gain: float  # mean of the paired differences, positive is better
-    low: float  # its 95 % bootstrap interval
-    high: float
+    low: float | None  # its 95 % interval; None: too few runs
+    high: float | None
     flights: int
     runs: int
+    trials: list[dict[str, float]]  # in the order flown: the settings and "score", the mean over the search's runs
 
     def text(self) -> str:
         """Format the result for a reader."""
-        lines = [f"{key} = {value:.6g}" for key, value in self.settings.items()]
-        outcome = "better" if self.low > 0 else "worse" if self.high < 0 else "no significant difference"
+        names = list(self.settings)
+        widths = [max(12, len(name) + 2) for name in names]
+        lines = ["".join(f"{name:>{w}s}" for name, w in zip(names, widths, strict=True)) + f"  {self.metric}"]
+        best = min(range(len(self.trials)), key=lambda k: self.trials[k]["score"])
+        for k, trial in enumerate(self.trials):
+            cells = "".join(f"{trial[name]:{w}.6g}" for name, w in zip(names, widths, strict=True))
+            lines.append(f"{cells}  {trial['score']:.4g}{'  best of the search' if k == best else ''}")
+        lines += ["", *(f"{key} = {value:.6g}" for key, value in self.settings.items())]
+        span = "" if self.low is None else f" (95 %: {self.low:.4g} to {self.high:.4g})"
         lines.append(
-            f"{self.metric}, {self.runs} held-out runs: {self.before:.4g} -> {self.after:.4g}, gain {self.gain:.4g} "
-            f"(95 %: {self.low:.4g} to {self.high:.4g}): {outcome}; {self.flights} flights"
+            f"{self.metric}, {self.runs} held-out runs: {self.before:.4g} -> {self.after:.4g}, gain {self.gain:.4g}"
+            f"{span}: {self._outcome()}; {self.flights} flights"
         )
         return "\n".join(lines)
+
+    def _outcome(self) -> str:
+        if self.low is None or self.high is None:
+            return f"unclear, {self.runs} runs are too few to tell; give --runs {paired.FEWEST} or more"
+        if self.low > 0:
+            return "better"
+        return "worse" if self.high < 0 else "no significant difference; more --runs see smaller ones"
 
 
 def tune(
@@ -160,22 +175,28 @@ def tune(
             cost, simplex[0], method="Nelder-Mead", bounds=[(0.0, 1.0)] * n,
             options={"maxfev": evaluations, "initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-4},
         )  # fmt: skip
+
+    def named(x: np.ndarray) -> dict[str, float]:
+        return {f"{estimator}.{k.setting}": k.value(float(v)) for k, v in zip(knobs, x, strict=True)}
+
     best = np.array(min(trials, key=lambda key: trials[key]))
     held_out = range(count, 2 * count)
     before, after = fly(held_out, None), fly(held_out, best)
     both = np.isfinite(before) & np.isfinite(after)
     if not both.any():
         raise CheckError(f"--tune: {estimator} has no {metric} in any held-out run")
-    gain = before[both] - after[both]
-    low, high = interval(gain)
+    change = paired.over_runs(after, before)
+    assert change is not None  # there are both
+    low, high = (None if math.isnan(x) else x for x in (-change.high, -change.low))
     return Tuned(
-        settings={f"{estimator}.{k.setting}": k.value(float(v)) for k, v in zip(knobs, best, strict=True)},
+        settings=named(best),
         metric=metric,
         before=float(before[both].mean()),
         after=float(after[both].mean()),
-        gain=float(gain.mean()),
+        gain=-change.change,
         low=low,
         high=high,
         flights=flown,
-        runs=int(both.sum()),
+        runs=change.pairs,
+        trials=[{**named(np.array(x)), "score": score} for x, score in trials.items()],
     )

@@ -156,6 +156,20 @@ def test_worst_window_and_finding(traces: FlightTraces) -> None:
     assert "first exceeded 5 deg and its own 3 sigma" in finding(traces, wrong)
 
 
+def test_compare_against_an_estimator_of_the_log(flown: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result = compare.compare(flown, against="ekf-sbg")
+    rows, difference = result["estimators"], result["paired"]["estimators"]["ekf-chr"]["tilt_rmse_deg"]
+    expected = rows["ekf-chr"]["tilt_rmse_deg"] - rows["ekf-sbg"]["tilt_rmse_deg"]
+    assert difference["change"] == pytest.approx(expected, abs=0.01)  # some seconds have one of the two only
+    assert difference["low"] <= difference["change"] <= difference["high"]
+    assert cli.main(["compare", str(flown), "--against", "ekf-sbg", "--all"]) == 0
+    assert "less that of ekf-sbg on the same seconds" in capsys.readouterr().out
+    assert cli.main(["compare", str(flown), str(flown), "--against", "ekf-sbg"]) == 0
+    assert "over 2 logs" in capsys.readouterr().out
+    assert cli.main(["compare", str(flown), "--against", "ekf-sgb"]) == 2
+    assert "did you mean 'ekf-sbg'" in capsys.readouterr().err
+
+
 def test_span_and_reference(flown: Path) -> None:
     part = gather(flown, reference="ekf-sbg", start=40.0, end=60.0)
     assert part.t[0] >= 40 and part.t[-1] <= 60

@@ -165,6 +165,52 @@ def test_places_files_and_schema(tmp_path: Path, short: Path) -> None:
         json.dumps(report, allow_nan=False)
 
 
+def _two_estimators(store: Store, plan: Plan) -> None:
+    """Ten runs; `bad` is worse by 0.5 deg in each, but for the last, in which `good` has failed to align."""
+    store.begin(plan)
+    for k in range(10):
+        good = {"tilt_rmse_deg": 1.0 + k if k < 9 else float("nan"), "availability": 1.0}
+        store.add(k, [Outcome(k, {"bad": {"tilt_rmse_deg": 1.5 + k, "availability": 1.0}, "good": good})], plan)
+
+
+def test_paired_differences_and_worst_runs(tmp_path: Path, short: Path) -> None:
+    store = Store(str(tmp_path / "out"))
+    _two_estimators(store, Plan("short", "short", scenario.load(str(short)).data, 7, 10, (), 1.0))
+    found = campaign_report.make(store, against="good")
+    difference = found["paired"]["estimators"]["bad"]["tilt_rmse_deg"]
+    assert difference["change"] == pytest.approx(0.5)
+    assert (difference["pairs"], difference["smaller"], difference["result"]) == (9, 0, "worse")
+    assert [(row["run"], row["estimator"]) for row in found["worst"][:2]] == [(9, "bad"), (8, "bad")]
+    assert "0 of 9  worse" in campaign_report.text(found)
+    assert campaign_report.make(store)["paired"]["against"] == "good"  # the more accurate one
+    of_good = campaign_report.make(store, worst_of="good")
+    assert [(row["run"], row["estimator"]) for row in of_good["worst"][:2]] == [(8, "good"), (7, "good")]
+    assert campaign_report.worst_runs(store, "tilt_rmse_deg", 2, "good") == [8, 7]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--metric", "tilt_rms_deg"], "did you mean 'tilt_rmse_deg'"),
+        (["--metric", "flying.tilt_rmse_deg"], "no such figure"),
+        (["--against", "efk"], "did you mean 'ekf'"),
+        (["--worst-of", "ckf"], "no such estimator"),
+    ],
+)
+def test_wrong_names_are_reported_before_anything_flies(
+    options: list[str], words: str, short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main(["campaign", str(short), "--runs", "2", "-o", str(out), *options]) == 2
+    assert words in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_figures_by_phase_rank_runs() -> None:
+    campaign_report.check_metric("turning.heading_p95_deg")
+    campaign_report.check_metric("nees")
+
+
 def test_another_campaign_is_not_mixed_in(short: Path, tmp_path: Path) -> None:
     loaded = scenario.load(str(short))
     store = Store(str(tmp_path / "out"))
@@ -186,7 +232,9 @@ def test_fly_interrupt_and_repeat(short: Path, tmp_path: Path, capsys: pytest.Ca
     common = ["campaign", str(short), *vary, "--workers", "1", "--quiet"]
     assert main([*common, "--runs", "5", "-o", str(whole), "--keep-logs", "worst:1"]) == 0
     assert main([*common, "--runs", "2", "-o", str(parts)]) == 0
-    assert main([*common, "--runs", "5", "-o", str(parts)]) == 0
+    capsys.readouterr()
+    assert main([*common[:-1], "--runs", "5", "-o", str(parts)]) == 0
+    assert "2 of 5 runs are there, 3 to fly" in capsys.readouterr().err
     assert len(Store(str(parts)).files()) == 2
     assert same(rows(Store(str(whole))), rows(Store(str(parts))))
     (log,) = (whole / "logs").iterdir()
@@ -263,6 +311,28 @@ def test_tuning_finds_the_better_setting(short: Path, capsys: pytest.CaptureFixt
     assert found["settings"]["ekf.rate_noise"] > 1e-3
     assert found["low"] > 0
     assert found["after"] < found["before"]
+    scores = {trial["ekf.rate_noise"]: trial["score"] for trial in found["trials"]}
+    assert scores[found["settings"]["ekf.rate_noise"]] == min(scores.values())
+    assert len(scores) > 3
+
+
+def test_an_interrupt_keeps_the_runs_and_names_them(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flown = campaign.flights.fly_all
+
+    def stopped(pool: runs.Pool, todo: Iterator[Run], ahead: int | None = None) -> Iterator[Outcome]:
+        for outcome in flown(pool, todo, ahead):
+            yield outcome
+            if outcome.key == 2:
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(campaign.flights, "warm_up", lambda *_: None)
+    monkeypatch.setattr(campaign.flights, "fly_all", stopped)
+    out = tmp_path / "out"
+    assert main(["campaign", str(short), "--runs", "5", "-o", str(out), "--workers", "1"]) == 130
+    assert f"stopped; 3 of 5 runs are in {out}; the same command flies the rest" in capsys.readouterr().err
+    assert Store(str(out)).done() == {0, 1, 2}
 
 
 @pytest.mark.long
