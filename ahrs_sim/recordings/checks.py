@@ -17,6 +17,7 @@ from ahrs_sim.recordings import frames, inertial
 from ahrs_sim.recordings.calibration import Turns, turns
 from ahrs_sim.recordings.inertial import Track
 from ahrs_sim.recordings.survey import BIN_S, Survey
+from ahrs_sim.world import magnetic
 from ahrs_sim.world.gravity import STANDARD as G
 
 GYRO_RANGE = 70.0  # rad/s, 4000 deg/s: no gyro of a vehicle measures more
@@ -289,9 +290,7 @@ def _orientation(s: Survey, assumed: Assumed, track: Track | None) -> list[str]:
     """A magnetometer that is mounted another way round than the gyro."""
     if not np.isfinite(assumed.mag_b).any():
         return []
-    dip = (
-        math.asin(assumed.field_n[2] / float(np.linalg.norm(assumed.field_n))) if assumed.field_n is not None else None
-    )
+    dip = magnetic.dip(assumed.field_n) if assumed.field_n is not None else None
     found = orientation(s, assumed.mag_b, dip)
     if found is None or not found.unique or (found.name == "x y z" and not found.mirrored):
         return []
@@ -337,7 +336,7 @@ def _dip(s: Survey, assumed: Assumed) -> list[str]:
     """An angle between field and gravity that the place does not have."""
     if assumed.field_n is None:
         return []
-    dip = math.asin(assumed.field_n[2] / float(np.linalg.norm(assumed.field_n)))
+    dip = magnetic.dip(assumed.field_n)
     angle = _dip_of(s, assumed.mag_b)
     if angle is None or abs(angle - dip) < _DIP:
         return []

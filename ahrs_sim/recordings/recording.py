@@ -69,8 +69,7 @@ class Bag:
 
     def installation(self) -> Installation:
         """How its sensors are installed, as far as the recording shows it."""
-        field = np.array(self.site.mag_n)
-        dip = math.asin(field[2] / float(np.linalg.norm(field))) if self.has_place else None
+        dip = magnetic.dip(np.array(self.site.mag_n)) if self.has_place else None
         return find(self.seen, self.mag_b, self.mapping, self.site.gravity, dip)
 
     def blocks(self) -> Iterator[dict[str, SuiteBlock]]:

@@ -84,6 +84,12 @@ def field_n(lla: np.ndarray, epoch: datetime.datetime) -> np.ndarray:
 _field = lru_cache(maxsize=8)(MagneticField)
 
 
+def dip(field_n: np.ndarray) -> float:
+    """Angle (rad) of a field (3,) in NED below the horizon; 0 of no field."""
+    north, east, down = (float(x) for x in field_n)
+    return math.atan2(down, math.hypot(north, east))
+
+
 def wmm(lla: np.ndarray, year: float) -> np.ndarray:
     """World Magnetic Model 2025, exact: (n, 3) T in NED at `lla` (n, 3) for a decimal `year`."""
     from wmm import wmm_calc  # lazily: a flight on recorded data needs none

@@ -1,6 +1,7 @@
 """The magnetic field."""
 
 import datetime
+import math
 
 import numpy as np
 import pytest
@@ -95,3 +96,10 @@ def test_igrf_goes_on_from_epoch_to_epoch() -> None:
     np.testing.assert_allclose(magnetic.igrf(lla, 2012.5), middle, atol=1e-11)
     with pytest.raises(InputError, match="outside of IGRF-14"):
         magnetic.igrf(lla, 1899.0)
+
+
+def test_dip() -> None:
+    assert magnetic.dip(np.array([2e-5, 0.0, 2e-5])) == pytest.approx(math.pi / 4)
+    assert magnetic.dip(np.array([0.0, 0.0, -5e-5])) == pytest.approx(-math.pi / 2)
+    assert magnetic.dip(np.zeros(3)) == 0.0
+    assert magnetic.dip(np.array([0.0, 0.0, 1e-200])) == pytest.approx(math.pi / 2)  # its square is no number
