@@ -66,7 +66,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> None:
     """Run estimators on a log or a recording and print the accuracy table."""
-    from ahrs_sim import replay
+    from ahrs_sim import playback
     from ahrs_sim.errors import FlightError
 
     if arguments.find:
@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> None:
         output = arguments.output or Path(folder) / arguments.log.with_suffix(".mcap").name
         failure, notes = None, []
         try:
-            notes = replay.replay(
+            notes = playback.replay(
                 arguments.log,
                 output,
                 estimators=arguments.estimator,
@@ -104,8 +104,8 @@ def run(arguments: argparse.Namespace) -> None:
         Progress.clear()
         if notes and not arguments.json:
             print("\n".join(notes), end="\n\n")
-        result = replay.accuracy(output, start=arguments.start, end=arguments.end, align=arguments.align)
-        missing = replay.unknown(output, result) if result else []
+        result = playback.accuracy(output, start=arguments.start, end=arguments.end, align=arguments.align)
+        missing = playback.unknown(output, result) if result else []
     if result is None:
         print("no truth and no reference attitude in it: nothing to compare with", file=sys.stderr)
         return
@@ -138,9 +138,9 @@ def _find(arguments: argparse.Namespace) -> None:
 
 def _evaluate_only(arguments: argparse.Namespace) -> bool:
     """Print how good estimators are on a log of ours, of which nothing has to be kept; false: not a log of ours."""
-    from ahrs_sim import replay
+    from ahrs_sim import playback
 
-    result = replay.evaluate(
+    result = playback.evaluate(
         arguments.log,
         estimators=arguments.estimator,
         start=arguments.start,

@@ -1,4 +1,4 @@
-"""`ahrs-sim export` and `ahrs_sim.read_log`: a log as tables, one per topic.
+"""`ahrs-sim export`: a log as tables, one per topic.
 
 Columns are named like the numbers in the messages (`angular_velocity.x`, `innovation.0`), `t` is in front: seconds of
 flight, from the header's stamp where there is one. Sequences of any length (`/tf`) have no place in a table and are
@@ -6,18 +6,14 @@ left out, as are the parts of the header.
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ahrs_sim import attitude
 from ahrs_sim.errors import InputError
-from ahrs_sim.evaluation import metrics
-from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.mcap.reader import LogReader, flatten, is_stamped, stamps
 
 if TYPE_CHECKING:
@@ -90,120 +86,11 @@ def _seconds(log: "LogReader | RecordingLog", array: np.ndarray) -> np.ndarray:
     return (ns - log.epoch_ns) / 1e9
 
 
-def _frame(log: LogReader, array: np.ndarray) -> "pandas.DataFrame":
+def frame(log: LogReader, array: np.ndarray) -> "pandas.DataFrame":
+    """Make a frame of messages of a topic: column `t` and what fits into a table."""
     import pandas
 
     return pandas.DataFrame({"t": _seconds(log, array), **dict(_columns(array))}, copy=False)
-
-
-class LogFrames(Mapping[str, "pandas.DataFrame"]):
-    """A log as pandas frames by topic, each read when it is asked for; index `t`, s of flight.
-
-    Also `truth`, `estimates` and `errors` with angles in degrees for reading, `metadata`, `events`. Closes as a context
-    manager or by `close`.
-
-    Raises:
-        InputError: not a log.
-    """
-
-    def __init__(self, path: str | Path) -> None:
-        self._log = FlightReader(path)
-
-    def __getitem__(self, topic: str) -> "pandas.DataFrame":
-        """All messages of a topic.
-
-        Raises:
-            KeyError: no such topic.
-            InputError: it cannot be read.
-        """
-        if topic not in self._log.topics:
-            raise KeyError(topic)
-        frame = _frame(self._log, self._log.read(topic)).set_index("t")
-        frame.attrs["units"] = units(self._log, topic)
-        return frame
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._log.topics)
-
-    def __len__(self) -> int:
-        return len(self._log.topics)
-
-    def close(self) -> None:
-        """Close the file."""
-        self._log.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._log.close()
-
-    @property
-    def estimators(self) -> list[str]:
-        """Names of the estimators."""
-        return self._log.estimators
-
-    @property
-    def metadata(self) -> dict[str, dict[str, str]]:
-        """Seeds, versions, specifications and settings by record."""
-        return self._log.metadata
-
-    @property
-    def events(self) -> "pandas.DataFrame":
-        """What happened: columns level, name, text."""
-        return self["/events"][["level", "name", "text"]]
-
-    def truth(self) -> "pandas.DataFrame":
-        """Roll, pitch and heading in deg, north, east and height in m, airspeed in m/s, on_ground."""
-        import pandas
-
-        from ahrs_sim.world import wgs84
-
-        truth = self._log.truth()
-        offset = wgs84.offset_n(truth.lla, truth.lla[0]) if len(truth) else np.empty((0, 3))
-        return pandas.DataFrame(
-            {
-                **_angles(truth.q_nb),
-                "north": offset[:, 0],
-                "east": offset[:, 1],
-                "height": -offset[:, 2],
-                "airspeed": truth.airspeed,
-                "on_ground": truth.on_ground,
-            },
-            index=pandas.Index(truth.t, name="t"),
-        )
-
-    def estimates(self, name: str) -> "pandas.DataFrame":
-        """Roll, pitch and heading of an estimator in deg, its gyro biases in deg/s, its status.
-
-        Raises:
-            InputError: no such estimator.
-        """
-        import pandas
-
-        e = self._log.estimates(name)
-        bias = np.degrees(e.gyro_bias)
-        columns = {f"gyro_bias_{axis}": bias[:, k] for k, axis in enumerate("xyz")}
-        return pandas.DataFrame({**_angles(e.q_nb), **columns, "status": e.status}, index=pandas.Index(e.t, name="t"))
-
-    def errors(self, name: str) -> "pandas.DataFrame":
-        """Errors of an estimator against the truth in deg: roll, pitch, heading, tilt, total.
-
-        Raises:
-            InputError: no such estimator, or no truth.
-        """
-        import pandas
-
-        e, truth = self._log.estimates(name), self._log.truth()
-        errors = np.degrees(metrics.attitude_errors(e.q_nb, e.down_b, attitude.interpolate(truth.t, truth.q_nb, e.t)))
-        return pandas.DataFrame(errors, columns=list(metrics.MEASURES), index=pandas.Index(e.t, name="t"))
-
-
-def _angles(q_nb: np.ndarray) -> dict[str, np.ndarray]:
-    roll, pitch, heading = np.degrees(attitude.euler(q_nb)).T
-    return {"roll": roll, "pitch": pitch, "heading": np.mod(heading, 360.0)}
 
 
 def export(path: Path, form: str, folder: Path, topics: Sequence[str] = (), map_file: Path | None = None) -> list[Path]:

@@ -28,6 +28,9 @@ def make(
         metric: the column by which runs are called bad.
         against: the estimator from which differences of the others are taken; None: the one with the least `metric`.
         worst_of: the estimator by which runs are called bad; None: whichever has the largest `metric`.
+
+    Raises:
+        InputError: no campaign there, or none of its runs has `against`.
     """
     plan = store.plan()
     names = store.column_names()
@@ -57,6 +60,8 @@ def make(
             "sensitivity": {v[5:]: _sensitivity(own[v], own) for v in varied if own[v].dtype.kind in "fb"},
             "bands": {m: _bands(store, estimator, f"bands.{m}") for m in ("tilt", "heading") if f"bands.{m}" in names},
         }
+    if against is not None and estimators and against not in estimators:
+        raise InputError(f"{store.place}: no estimator '{against}'{nearest(against, estimators)}")
     against = against or _least(report["estimators"], metric)
     if against is not None and len(estimators) > 1:
         report["paired"] = {"against": against, "estimators": _paired(columns, estimators, against, metric)}

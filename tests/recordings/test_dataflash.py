@@ -7,7 +7,7 @@ import pytest
 from bag_helpers import EPOCH, LLA, Motion, motion
 from dataflash_helpers import MESSAGES, assembled, rows, write_dataflash
 
-from ahrs_sim import replay
+from ahrs_sim import playback
 from ahrs_sim.errors import InputError
 from ahrs_sim.recordings.recording import open_bag
 from ahrs_sim.recordings.sources.base import from_gps
@@ -115,15 +115,15 @@ def test_every_value_is_the_one_that_pymavlink_reads(tmp_path: Path, moving: Mot
 
 def test_the_attitudes_of_the_autopilot_are_estimators(tmp_path: Path, moving: Motion) -> None:
     write_dataflash(tmp_path / "a.bin", moving)
-    lines = replay.replay(tmp_path / "a.bin", tmp_path / "out.mcap", estimators=["hand-ins"], only_estimates=True)
+    lines = playback.replay(tmp_path / "a.bin", tmp_path / "out.mcap", estimators=["hand-ins"], only_estimates=True)
     assert any(line.startswith("reference       ATT") for line in lines)
-    result = replay.accuracy(tmp_path / "out.mcap")
+    result = playback.accuracy(tmp_path / "out.mcap")
     assert result is not None
     assert list(result["estimators"]) == ["hand-ins", "ekf3"]
     assert result["estimators"]["ekf3"]["total_rmse_deg"] < 1e-6
-    replay.replay(tmp_path / "a.bin", tmp_path / "b.mcap", estimators=["hand-ins"], reference="XKF1")
-    result = replay.accuracy(tmp_path / "b.mcap")
+    playback.replay(tmp_path / "a.bin", tmp_path / "b.mcap", estimators=["hand-ins"], reference="XKF1")
+    result = playback.accuracy(tmp_path / "b.mcap")
     assert result is not None
     assert list(result["estimators"]) == ["hand-ins", "ahrs"]
     with pytest.raises(InputError, match="no topic 'XKF2'"):
-        replay.replay(tmp_path / "a.bin", tmp_path / "c.mcap", reference="XKF2")
+        playback.replay(tmp_path / "a.bin", tmp_path / "c.mcap", reference="XKF2")

@@ -12,7 +12,7 @@ import pytest
 from bag_helpers import motion, write_bag, write_ulog
 
 import estimators
-from ahrs_sim import pipeline, replay, scenario
+from ahrs_sim import pipeline, playback, scenario
 from ahrs_sim.attitude import interpolate, wrap
 from ahrs_sim.cli import main
 from ahrs_sim.errors import InputError
@@ -42,7 +42,7 @@ def messages(path: Path, topic: str) -> bytes:
 
 def test_own_log_gives_the_same_bytes(flown: Path, tmp_path: Path) -> None:
     out = tmp_path / "again.mcap"
-    replay.replay(flown, out)
+    playback.replay(flown, out)
     with FlightReader(flown) as before, FlightReader(out) as after:
         assert before.topics.keys() == after.topics.keys()
         assert before.message_count == after.message_count
@@ -56,7 +56,7 @@ def test_own_log_gives_the_same_bytes(flown: Path, tmp_path: Path) -> None:
 def test_smoothed_estimates_beside_the_filtered_ones(tmp_path: Path) -> None:
     flight, out = tmp_path / "flight.mcap", tmp_path / "out.mcap"
     pipeline.fly(scenario.load("circuit", duration=110.0, estimators=["ekf-chr"]), flight)
-    replay.replay(flight, out, estimators=["ins-cal@chr"], smooth=True)
+    playback.replay(flight, out, estimators=["ins-cal@chr"], smooth=True)
     with FlightReader(out) as log:
         filtered, smoothed = log.estimates("ins-cal-chr"), log.estimates("ins-cal-chr_smoothed")
     np.testing.assert_array_equal(filtered.t, smoothed.t)
@@ -67,7 +67,7 @@ def test_smoothed_estimates_beside_the_filtered_ones(tmp_path: Path) -> None:
     assert smoothed.q_nb[-1] == pytest.approx(filtered.q_nb[-1], abs=1e-9)
     assert "ins-cal-chr_smoothed" in compare.compare(out, start=25.0)["estimators"]
     with pytest.raises(InputError, match="none of the estimators can be smoothed"):
-        replay.replay(flight, tmp_path / "none.mcap", smooth=True)
+        playback.replay(flight, tmp_path / "none.mcap", smooth=True)
     assert not (tmp_path / "none.mcap").exists()
 
 
@@ -113,21 +113,21 @@ def test_other_estimators_on_request(flown: Path, tmp_path: Path, capsys: pytest
 
 
 def test_without_a_new_log_the_figures_are_the_same(flown: Path, tmp_path: Path) -> None:
-    replay.replay(flown, tmp_path / "again.mcap")
-    kept = replay.accuracy(tmp_path / "again.mcap", start=21.0)
-    found = replay.evaluate(flown, start=21.0)
+    playback.replay(flown, tmp_path / "again.mcap")
+    kept = playback.accuracy(tmp_path / "again.mcap", start=21.0)
+    found = playback.evaluate(flown, start=21.0)
     assert kept is not None
     assert found is not None
     assert list(found["estimators"]) == ["ekf-chr", "ckf-chr", "ekf-sbg"]
     assert found | {"log": ""} == kept | {"log": ""}
     with pytest.raises(InputError, match="the log spans"):
-        replay.evaluate(flown, start=30.0)
+        playback.evaluate(flown, start=30.0)
 
 
 def test_what_estimators_are_told_survives_exactly(flown: Path) -> None:
     loaded = scenario.load("circuit", duration=24.0)
     with FlightReader(flown) as log:
-        recording = replay.of_flight(log)
+        recording = playback.of_flight(log)
         assert pipeline.exactly(recording.site) == log.metadata["site"]
     for component in loaded.suites:
         from ahrs_sim.sensors import make_suite
@@ -169,7 +169,7 @@ def test_an_ideal_bag_gives_a_tiny_error(tmp_path: Path, capsys: pytest.CaptureF
     arguments = ["--estimator", "marg-ekf", "--estimator", "bag_helpers:Triad", "--map", str(map_file), "--from", "26"]
     assert main(["replay", str(bag), "-o", str(out), *arguments]) == 0
     assert "reference       /truth/odom" in capsys.readouterr().out
-    result = replay.accuracy(out, start=26.0)
+    result = playback.accuracy(out, start=26.0)
     assert result is not None
     assert result["reference"] == "/reference/imu"
     assert result["estimators"]["marg-ekf"]["total_rmse_deg"] < 0.4  # its rate lags a little
@@ -202,7 +202,7 @@ def test_compare_takes_out_delay_and_rotation(tmp_path: Path, capsys: pytest.Cap
     bag, out = tmp_path / "a.mcap", tmp_path / "out.mcap"
     write_bag(bag, motion(60.0, still=25.0), with_place=False, reference_delay=0.1)
     (tmp_path / "m.toml").write_text("[topics]\nvelocity = ''\ndiff_pressure = ''\n")
-    replay.replay(bag, out, estimators=["marg-ekf"], map_file=tmp_path / "m.toml")
+    playback.replay(bag, out, estimators=["marg-ekf"], map_file=tmp_path / "m.toml")
     plain = compare.compare(out, start=26.0)["estimators"]["marg-ekf"]
     adjusted = compare.compare(out, start=26.0, sync=True, align="heading")["estimators"]["marg-ekf"]
     assert plain["total_rmse_deg"] > 3.0

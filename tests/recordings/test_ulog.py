@@ -9,7 +9,7 @@ import pytest
 from bag_helpers import EPOCH, LLA, Motion, motion
 from ulog_helpers import HEADER, attitude, inertial, magnetometer, message, receiver, ulog, write
 
-from ahrs_sim import replay
+from ahrs_sim import playback
 from ahrs_sim.errors import InputError
 from ahrs_sim.recordings.recording import open_bag
 from ahrs_sim.recordings.sources.ulog import Messages, Ulog
@@ -83,8 +83,8 @@ def test_dropouts_are_counted(tmp_path: Path, moving: Motion) -> None:
 def test_groundtruth_is_the_reference_and_ekf2_an_estimator(tmp_path: Path, moving: Motion) -> None:
     path = write(tmp_path / "a.ulg", inertial(moving), magnetometer(moving), attitude(moving),
                  attitude(moving, "vehicle_attitude_groundtruth"))  # fmt: skip
-    replay.replay(path, tmp_path / "out.mcap", estimators=["hand-ins"], only_estimates=True)
-    result = replay.accuracy(tmp_path / "out.mcap")
+    playback.replay(path, tmp_path / "out.mcap", estimators=["hand-ins"], only_estimates=True)
+    result = playback.accuracy(tmp_path / "out.mcap")
     assert result is not None
     assert list(result["estimators"]) == ["hand-ins", "ekf2"]
     assert result["estimators"]["ekf2"]["total_rmse_deg"] < 1e-3
