@@ -187,6 +187,8 @@ class _Recorder:
             if truth is not None:
                 rows = self.compared.rows(len(truth))
                 self.accuracy.add_truth(truth.t[rows], truth.q_nb[rows], truth.vel_n[rows], truth.on_ground[rows])
+            for steps in self.setpoint_list:
+                self.accuracy.add_steps(steps.t, steps.step)
             for name, block in estimates.items():
                 self.accuracy.add_estimates(name, block)
         for buffer in (self.truths, self.setpoint_list, self.records, self.estimate_lists, self.event_list):

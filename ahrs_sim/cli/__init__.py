@@ -13,7 +13,9 @@ from ahrs_sim.cli import (
     allan,
     budget,
     campaign,
+    certify,
     check,
+    choose,
     compare,
     export,
     fly,
@@ -30,7 +32,8 @@ from estimators.errors import EstimationError
 
 # in the order of `ahrs-sim --help`
 _COMMANDS = (
-    fly, replay, compare, info, export, recover, allan, check, campaign, budget, papers, aircraft, new, listing, schema,
+    fly, replay, compare, info, export, recover, allan, check, campaign, certify, choose, budget, papers,
+    aircraft, new, listing, schema,
 )  # fmt: skip
 
 

@@ -45,6 +45,12 @@ class Accuracy:
         self._thinned = {name: Decimator(NEES_RATE) for name in self._parts}
         self._nees: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {name: [] for name in self._parts}
         self._times = np.empty(0)
+        self.begins: dict[int, float] = {}  # s, of every step of the flight, numbered from 1
+
+    def add_steps(self, t: np.ndarray, step: np.ndarray) -> None:
+        """Note when steps of the pilot begin: at times (n,) s, rising, the number (n,) of the step from 0."""
+        for number, row in zip(*np.unique(step, return_index=True), strict=True):
+            self.begins.setdefault(int(number) + 1, float(t[row]))
 
     def add_truth(self, t: np.ndarray, q_nb: np.ndarray, vel_n: np.ndarray, on_ground: np.ndarray) -> None:
         """Extend the truth: s, rising; (n, 4); (n, 3) m/s NED; weight on the wheels."""
@@ -82,6 +88,15 @@ class Accuracy:
         else:
             ends = [(p[0][0], self._evaluator.reached) for p in self._coarse[:1]]
         return min((float(a) for a, _ in ends), default=math.inf), max((float(b) for _, b in ends), default=-math.inf)
+
+    def worst(self, low: float, high: float) -> dict[str, dict[str, float]]:
+        """Find when errors were largest between `low` and `high` (s): `MEASURE_worst_s` by estimator, where known."""
+        found: dict[str, dict[str, float]] = {}
+        for name, parts in self._parts.items():
+            t, errors, _ = _within(parts, low, high)
+            columns = [(m, np.abs(_column(errors, Measure[m.upper()]))) for m in metrics.MEASURES]
+            found[name] = {f"{m}_worst_s": float(t[np.nanargmax(x)]) for m, x in columns if np.isfinite(x).any()}
+        return found
 
     def result(
         self, reference: str = "truth", *, low: float = -math.inf, high: float = math.inf, band_s: float | None = None

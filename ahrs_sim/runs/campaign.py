@@ -35,7 +35,7 @@ import numpy as np
 
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.runs import pool as flights
-from ahrs_sim.runs.pool import Outcome, Pool, Run
+from ahrs_sim.runs.pool import Outcome, Pool, Run, Span
 from ahrs_sim.scenario import Gate, Scenario, code, parse, seeds
 from ahrs_sim.scenario.table import Table, parse_toml
 
@@ -172,6 +172,7 @@ class Plan:
     vary: tuple[str, ...]
     band_s: float
     code: tuple[str, ...] = ()  # from outside, that estimators may run; never from a file
+    spans: tuple[Span, ...] = ()  # summarised by themselves, too
 
     @classmethod
     def make(cls, scenario: Scenario, runs: int, vary: Sequence[str] = ()) -> "Plan":
@@ -229,12 +230,13 @@ class Plan:
         for key, value in (self.values()(number) if values is None else values).items():
             put(data, key, value)
         data["seed"] = self.seed + number
-        return Run(number, self.name, self.where, data, band_s=self.band_s, code=self.code)
+        return Run(number, self.name, self.where, data, band_s=self.band_s, code=self.code, spans=self.spans)
 
     def manifest(self) -> dict[str, Any]:
         """Write the plan as plain data; the scenario as TOML, because JSON cannot hold it."""
         scenario = parse(dict(self.data), self.where, self.name, gate=Gate(self.code))
-        return {
+        spans = {"spans": [[s.name, *(s.steps or s.times), s.skip] for s in self.spans]}
+        return (spans if self.spans else {}) | {
             "format": 1,
             "name": self.name,
             "seed": self.seed,

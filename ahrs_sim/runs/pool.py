@@ -12,6 +12,7 @@ coordinator does not depend on their number. A worker that dies takes no run wit
 
 import concurrent.futures as futures
 import contextlib
+import math
 import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -33,6 +34,23 @@ WARM_S = 30.0
 
 
 @dataclass(frozen=True)
+class Span:
+    """A part of a flight that is summarised by itself, too."""
+
+    name: str
+    steps: tuple[int, int] | None = None  # first and last step, numbered from 1, or ...
+    times: tuple[float, float] = (0.0, math.inf)  # ... s
+    skip: float = 0.0  # s left out at its beginning
+
+    def within(self, begins: Mapping[int, float]) -> tuple[float, float]:
+        """Find its first and last time, s, of when the steps of the flight began; empty if it was not reached."""
+        low, high = self.times
+        if self.steps is not None:
+            low, high = begins.get(self.steps[0], math.inf), begins.get(self.steps[1] + 1, math.inf)
+        return low + self.skip, high
+
+
+@dataclass(frozen=True)
 class Run:
     """A flight to be flown somewhere."""
 
@@ -43,6 +61,7 @@ class Run:
     log: str | None = None  # keep the whole log there
     band_s: float | None = None  # also the RMS error of every so many seconds
     code: tuple[str, ...] = ()  # from outside, that its estimators may run
+    spans: tuple[Span, ...] = ()  # `SPAN.FIGURE` beside the figures of the whole flight, and `SPAN.MEASURE_worst_s`
 
     def scenario(self) -> Scenario:
         """Parse and check the scenario."""
@@ -63,7 +82,7 @@ def fly(run: Run) -> Outcome:
     """Fly a run here and now and compare it; whatever goes wrong is in the outcome."""
     try:
         scenario = run.scenario()
-        return Outcome(run.key, _flown(scenario, Path(run.log) if run.log else None, run.band_s))
+        return Outcome(run.key, _flown(scenario, run))
     except FlightError as error:
         return Outcome(run.key, error=str(error).partition("; the log")[0])
     except AhrsSimError as error:
@@ -72,14 +91,21 @@ def fly(run: Run) -> Outcome:
         return Outcome(run.key, error=f"{type(error).__name__}: {error}")
 
 
-def _flown(scenario: Scenario, log: Path | None, band_s: float | None) -> dict[str, dict[str, Any]]:
+def _flown(scenario: Scenario, run: Run) -> dict[str, dict[str, Any]]:
     from ahrs_sim import pipeline
     from ahrs_sim.evaluation.accuracy import Accuracy
 
-    accuracy = Accuracy([e.name for e in scenario.estimators], with_consistency=band_s is not None)
-    pipeline.fly(scenario, log, accuracy=accuracy, force=True)
-    result = accuracy.result(band_s=band_s)
-    return {name: flat(values) for name, values in result["estimators"].items()}
+    accuracy = Accuracy([e.name for e in scenario.estimators], with_consistency=run.band_s is not None)
+    pipeline.fly(scenario, Path(run.log) if run.log else None, accuracy=accuracy, force=True)
+    result = accuracy.result(band_s=run.band_s)
+    rows = {name: flat(values) for name, values in result["estimators"].items()}
+    for span in run.spans:
+        low, high = span.within(accuracy.begins)
+        part, worst = accuracy.result(low=low, high=high)["estimators"], accuracy.worst(low, high)
+        for name, values in part.items():
+            values.pop("phases")
+            rows[name] |= flat({**values, **worst[name]}, f"{span.name}.")
+    return rows
 
 
 def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

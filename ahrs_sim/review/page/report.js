@@ -753,5 +753,7 @@
   $("reset").disabled = true;
   now = focus.worst?.from ?? from;
   paint();
+  const asked = /^#t=(\d+(?:\.\d+)?)$/.exec(location.hash); // a link to a moment: report.html#t=123.4
+  if (asked) { setView(+asked[1] - 15, +asked[1] + 15); setNow(+asked[1]); $("errors").scrollIntoView(); }
   root.dataset.ready = "yes";
 })();
