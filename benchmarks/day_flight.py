@@ -8,7 +8,8 @@ Prints a line an hour: RMS of tilt and heading errors (deg), share of samples th
 the attitude covariance (rad2) and of the whole state's correlations, and memory. Low-cost suite; `ins21`, `ckf-air`.
 
 The motion ends some 130 km from where it started. `ckf-air`, which has no GNSS, keeps the magnetic field of the start:
-the dip changes by a degree on the way and its tilt error with it. The trainer circles one place, and shows no such growth.
+the dip changes by a degree on the way and its tilt error with it. The trainer circles one place, and shows no such
+growth.
 """
 
 import argparse
