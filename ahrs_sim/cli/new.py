@@ -1,4 +1,4 @@
-"""`ahrs-sim new estimator NAME --lang c|cpp|python`: write a project that builds, tests itself and flies."""
+"""`ahrs-sim new WHAT NAME`: write an estimator's project, a scenario, a grade or a suite of flights to start from."""
 
 import argparse
 import re
@@ -9,35 +9,57 @@ from ahrs_sim.errors import InputError
 
 _TEMPLATES = Path(__file__).parents[1] / "plugins" / "templates"
 _INTERFACE = Path(__file__).parents[1] / "plugins" / "interface" / "ahrs_estimator.h"
+_NEXT = {
+    "scenario": "ahrs-sim fly {path}",
+    "grade": 'in a scenario: [suite.{name}] with grade = "{path}"',
+    "suite": 'ahrs-sim check {path} --renew --why "first baseline"',
+}
+"""What each file is for: printed once it is there."""
 
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
-    command = commands.add_parser("new", help="write a small project to start from")
-    command.add_argument("what", choices=["estimator"])
-    command.add_argument("name", metavar="NAME", help="of the project and its folder: letters, digits, _")
-    command.add_argument("--lang", choices=["c", "cpp", "python"], default="python", help="default: python")
-    command.add_argument("-o", "--output", type=Path, metavar="DIR", help="default: a folder NAME here")
+    command = commands.add_parser("new", help="write an estimator's project, a scenario, grade or suite to start from")
+    command.add_argument("what", choices=["estimator", *_NEXT])
+    command.add_argument("name", metavar="NAME", help="of the project or file: letters, digits, _, a letter first")
+    command.add_argument("--lang", choices=["c", "cpp", "python"], help="of an estimator; default: python")
+    command.add_argument("-o", "--output", type=Path, metavar="PATH", help="default: a folder NAME, a file NAME.toml")
     return command
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Write the project and print its files and what to type next."""
-    name, folder = arguments.name, arguments.output or Path(arguments.name)
+    """Write it and print its files and what to type next."""
+    name = arguments.name
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise InputError(f"new: '{name}' is no name; letters, digits and _, a letter first")
-    if folder.exists():
-        raise InputError(f"{folder}: exists; choose another NAME or -o")
-    for source in (_TEMPLATES / "common", _TEMPLATES / arguments.lang):
+    if arguments.what != "estimator" and arguments.lang:
+        raise InputError(f"new: --lang is for an estimator; a {arguments.what} is TOML")
+    is_project = arguments.what == "estimator"
+    path = arguments.output or Path(name if is_project else f"{name}.toml")
+    if path.exists():
+        raise InputError(f"{path}: exists; choose another NAME or -o")
+    if is_project:
+        _write_project(name, path, arguments.lang or "python")
+        return
+    text = (_TEMPLATES / "files" / f"{arguments.what}.toml").read_text(encoding="utf-8")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for ending in (".toml", ".json"):
+        text = text.replace(f"NAME{ending}", str(path.with_suffix(ending)))
+    path.write_text(text.replace("NAME", name), encoding="utf-8")
+    print(path, _NEXT[arguments.what].format(path=path, name=name), sep="\n")
+
+
+def _write_project(name: str, folder: Path, language: str) -> None:
+    for source in (_TEMPLATES / "common", _TEMPLATES / language):
         for path in sorted(p for p in source.rglob("*") if p.is_file() and p.suffix != ".pyc"):
             target = folder / str(path.relative_to(source)).replace("NAME", name)
             target.parent.mkdir(parents=True, exist_ok=True)
             text = path.read_text(encoding="utf-8").replace("NAME", name)
-            if arguments.lang == "python":
+            if language == "python":
                 text = text.replace(f"lib:./lib{name}.so", f"{name}:{name}")
             target.write_text(text, encoding="utf-8")
             print(target)
-    if arguments.lang != "python":
+    if language != "python":
         (folder / _INTERFACE.name).write_text(_INTERFACE.read_text(encoding="utf-8"), encoding="utf-8")
         print(folder / _INTERFACE.name)
     print(f"cd {folder} && make test fly")
