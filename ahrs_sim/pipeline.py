@@ -12,7 +12,7 @@ import dataclasses
 import platform
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -27,11 +27,37 @@ from ahrs_sim.log.mcap.writer import Listener
 from ahrs_sim.scenario import Scenario, create_estimator
 from ahrs_sim.sensors import make_suite
 from ahrs_sim.sensors.faults import check_suites
-from ahrs_sim.sensors.records import Record
-from estimators.types import Estimates, SensorInfo, Site
+from ahrs_sim.sensors.records import Answers, Record, SuiteBlock
+from estimators.types import Estimates, Samples, SensorInfo, Site
 
 if TYPE_CHECKING:
     from ahrs_sim.evaluation.accuracy import Accuracy
+
+
+LATE_S = 4.0
+"""s of flight behind the newest truth up to which a unit outside may answer."""
+
+
+class Outside(Protocol):
+    """A unit outside that sees the sensors of a suite and answers with its attitude (`ahrs_sim.serve`)."""
+
+    name: str
+    """Of its estimates in the log."""
+    suite: str
+    error: str | None
+    """Why it answers no more: ends the flight."""
+
+    def exchange(self, truth: Truth, records: SuiteBlock, samples: Samples) -> Answers:
+        """Give it a block, and return what it has answered since the last one."""
+        ...
+
+    def finish(self) -> Answers:
+        """Return its last answers."""
+        ...
+
+    def take_events(self) -> list[Event]:
+        """Return what is worth knowing of it, once it has finished."""
+        ...
 
 
 def fly(
@@ -42,6 +68,7 @@ def fly(
     force: bool = False,
     block_s: float = BLOCK_S,
     flight: Flight | None = None,
+    outside: Outside | None = None,
     live: Listener | None = None,
     ros_axes: bool = False,
     progress: Callable[[float, float | None], None] = lambda t, end: None,
@@ -56,6 +83,7 @@ def fly(
         force: replace an existing log.
         block_s: length of the blocks, s; the log does not depend on it.
         flight: the scenario's flight, if it has begun already (see `flight.ahead`).
+        outside: a unit that flies along; its answers are estimates beside those of the scenario.
         live: is given every message of the log, too (see `ahrs_sim.log.live`).
         ros_axes: IMU topics a second time in the axes of ROS (see `ahrs_sim.log.ros_axes`).
         progress: called with the time reached and the expected end (None: unknown), s.
@@ -63,7 +91,7 @@ def fly(
 
     Raises:
         InputError: something in the scenario is wrong, or the output cannot be written.
-        FlightError: the flight did not reach its end; the log is complete up to there.
+        FlightError: the flight did not reach its end, or `outside` was lost; the log is complete up to there.
     """
     closed_loop = scenario.pilot_attitude != "truth"
     rows = max(1, round(block_s * scenario.rate))
@@ -83,14 +111,14 @@ def fly(
                 logged_rate=scenario.truth_rate,
                 ros_axes=ros_axes,
                 suites={c.suite.name: c.suite.instruments for c in chains},
-                estimators=[name for c in chains for name in c.estimators],
+                estimators=[*(name for c in chains for name in c.estimators), *([outside.name] if outside else [])],
                 attachments={"scenario.toml": scenario.toml().encode(), **flight.attachments()},
                 metadata=_metadata(scenario, place, chains),
                 force=force,
                 listener=live,
             )
             stack.enter_context(log)
-        record = _Recorder(log, accuracy, scenario.rate / scenario.truth_rate)
+        record = _Recorder(log, accuracy, scenario.rate / scenario.truth_rate, hold_s=LATE_S if outside else 0.0)
         record.events([Event(0.0, "warning", "scenario", note) for note in scenario.notes])
         while len(truth := flight.fly(rows)):
             t = float(truth.t[-1])
@@ -99,10 +127,13 @@ def fly(
             due = record.due(t)
             for chain in chains:
                 chain.pending.append(truth)
-                if due or not closed_loop or scenario.pilot_attitude in chain.estimators:
-                    _run(chain, record, flight, scenario.pilot_attitude)
+                seen = outside if outside and outside.suite == chain.suite.name else None
+                if due or not closed_loop or seen or scenario.pilot_attitude in chain.estimators:
+                    _run(chain, record, flight, scenario.pilot_attitude, seen)
             record.events(flight.take_events())
             progress(t, scenario.duration or flight.expected_duration)
+            if outside and outside.error:
+                break
             if stopped():
                 record.events([Event(t, "warning", "flight", "stopped by the user")])
                 break
@@ -111,19 +142,23 @@ def fly(
         for chain in chains:
             _run(chain, record, flight, scenario.pilot_attitude)
         record.events(flight.take_events())
+        if outside:
+            record.estimates(outside.name, outside.finish())
+            record.events(outside.take_events())
         record.flush()
-    if flight.error:
+    if error := flight.error or (outside and outside.error):
         kept = f"; the log is complete up to there: {output}" if output else ""
-        raise FlightError(f"{scenario.where}: {flight.error}{kept}")
+        raise FlightError(f"{scenario.where}: {error}{kept}")
     if failed := plugins.failures(e for c in chains for e in c.estimators.values()):
         raise FlightError(f"{scenario.where}: {failed}")
 
 
-def _run(chain: Chain, record: "_Recorder", flight: Flight, pilot: str) -> None:
-    """Take what was flown since the last call through the sensors and estimators of a chain."""
+def _run(chain: Chain, record: "_Recorder", flight: Flight, pilot: str, outside: Outside | None = None) -> None:
+    """Take what was flown since the last call through the sensors and estimators of a chain, and to who sees them."""
     if not chain.pending:
         return
-    records = chain.sense(Truth.concatenate(chain.pending))
+    truth = Truth.concatenate(chain.pending)
+    records = chain.sense(truth)
     chain.pending.clear()
     for instrument, sent in records.items():
         record.record(chain.suite.name, instrument, sent)
@@ -132,14 +167,17 @@ def _run(chain: Chain, record: "_Recorder", flight: Flight, pilot: str) -> None:
         record.estimates(name, estimates)
         if name == pilot:
             _feed_back(flight, estimates, samples.gyro_b)
+    if outside:
+        record.estimates(outside.name, outside.exchange(truth, records, samples))
     record.events(chain.take_events())
 
 
 class _Recorder:
     """Buffers blocks and hands them on once every `BLOCK_S`, because the overhead of a call dominates."""
 
-    def __init__(self, log: FlightLog | None, accuracy: "Accuracy | None", every: float) -> None:
+    def __init__(self, log: FlightLog | None, accuracy: "Accuracy | None", every: float, hold_s: float = 0.0) -> None:
         self.log, self.accuracy = log, accuracy
+        self.hold_s = hold_s  # how much later than usual something may still come
         self.compared = RowDecimator(every)  # what the log keeps, so that both give the same figures
         self.truths: list[Truth] = []
         self.setpoint_list: list[Setpoints] = []
@@ -180,7 +218,7 @@ class _Recorder:
     def flush(self, t: float | None = None) -> None:
         """Hand on what is buffered; with `t` (s), everything up to there has come."""
         truth = Truth.concatenate(self.truths) if self.truths else None
-        estimates = {name: Estimates.concatenate(blocks) for name, blocks in self.estimate_lists.items()}
+        estimates = {name: type(blocks[0]).concatenate(blocks) for name, blocks in self.estimate_lists.items()}
         if self.log:
             self._write(self.log, truth, estimates, t)
         if self.accuracy:
@@ -205,7 +243,7 @@ class _Recorder:
             log.estimates(name, block)
         log.events(self.event_list)
         if t is not None:
-            log.advance(t)
+            log.advance(t - self.hold_s)
 
 
 def _chains(scenario: Scenario, place: Site, flight: Flight) -> list[Chain]:

@@ -26,13 +26,14 @@ from ahrs_sim.cli import (
     recover,
     replay,
     schema,
+    serve,
 )
 from ahrs_sim.errors import AhrsSimError, InputError, printable
 from estimators.errors import EstimationError
 
 # in the order of `ahrs-sim --help`
 _COMMANDS = (
-    fly, replay, compare, info, export, recover, allan, check, campaign, certify, choose, budget, papers,
+    fly, serve, replay, compare, info, export, recover, allan, check, campaign, certify, choose, budget, papers,
     aircraft, new, listing, schema,
 )  # fmt: skip
 

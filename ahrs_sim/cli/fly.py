@@ -5,7 +5,7 @@ import json
 import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ahrs_sim.cli.common import (
     Commands,
@@ -23,6 +23,7 @@ from ahrs_sim.errors import FlightError, InputError
 
 if TYPE_CHECKING:
     from ahrs_sim.scenario import Scenario
+    from ahrs_sim.serve.unit import Unit
 
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
@@ -59,14 +60,36 @@ def run(arguments: argparse.Namespace) -> None:
     Raises:
         KeyboardInterrupt: stopped by Ctrl-C, after log and table have been completed.
     """
-    scenario = _scenario(arguments)
-    output = _output(arguments, scenario)
-
     from ahrs_sim.flight import BLOCK_S
 
-    stop: list[int] = []
+    scenario = scenario_of(arguments)
+    output = output_of(arguments, scenario)
+    carry_out(arguments, scenario, output, [], block_s=arguments.block or BLOCK_S)
+
+
+def carry_out(
+    arguments: argparse.Namespace,
+    scenario: "Scenario",
+    output: Path,
+    stop: list[int],
+    *,
+    block_s: float,
+    unit: "Unit | None" = None,
+) -> None:
+    """Fly, and print the accuracy table.
+
+    Args:
+        arguments: of the command line.
+        scenario, output: what to fly, and into which log.
+        stop: gets an entry at Ctrl-C.
+        block_s: length of the blocks, s.
+        unit: that flies along outside, there already.
+
+    Raises:
+        FlightError: it did not reach its end; the table up to there was printed.
+        KeyboardInterrupt: stopped by Ctrl-C, after log and table have been completed.
+    """
     live = open_live(arguments, lambda: bool(stop))
-    block_s = arguments.block or BLOCK_S
     flight = None
     if scenario.pilot_attitude == "truth":  # flies on while the estimators are being loaded
         from ahrs_sim.flight.ahead import FlightAhead
@@ -74,13 +97,12 @@ def run(arguments: argparse.Namespace) -> None:
         flight = FlightAhead(scenario, max(1, round(block_s * scenario.rate)))
     from ahrs_sim import pipeline
     from ahrs_sim.evaluation.accuracy import Accuracy
-    from ahrs_sim.review import compare
 
     if not arguments.quiet:
         for note in scenario.notes:
             print(f"ahrs-sim: {note}", file=sys.stderr)
     _compile(scenario, hidden=arguments.quiet or arguments.json)
-    accuracy = Accuracy([e.name for e in scenario.estimators])
+    accuracy = Accuracy([*(e.name for e in scenario.estimators), *([unit.name] if unit else [])])
     failure: FlightError | None = None
     previous = signal.signal(signal.SIGINT, lambda *_: stop.append(1))
     try:
@@ -91,6 +113,7 @@ def run(arguments: argparse.Namespace) -> None:
             force=arguments.force,
             block_s=block_s,
             flight=flight.ready() if flight else None,
+            outside=unit,
             live=live,
             ros_axes=arguments.ros_axes,
             progress=Progress(f"flying {scenario.name}", hidden=arguments.quiet or arguments.json),
@@ -104,15 +127,24 @@ def run(arguments: argparse.Namespace) -> None:
         if live:
             live.close()
     if not arguments.quiet:
-        result = {"log": str(output), **accuracy.result()}
-        if arguments.json:
-            print(json.dumps(result, indent=1))
-        else:
-            print(*([compare.table(result, details=arguments.all)] if scenario.estimators else []), output, sep="\n")
+        _print(arguments, {"log": str(output), **accuracy.result()}, unit)
     if failure:
         raise failure
     if stop:
         raise KeyboardInterrupt(f"stopped at {accuracy.span()[1]:.0f} s; the log is complete up to there")
+
+
+def _print(arguments: argparse.Namespace, result: dict[str, Any], unit: "Unit | None") -> None:
+    from ahrs_sim.review import compare
+
+    if arguments.json:
+        print(json.dumps({**result, **({"timing": unit.timing.result()} if unit else {})}, indent=1))
+        return
+    if result["estimators"]:
+        print(compare.table(result, details=arguments.all))
+    if unit:
+        print(*unit.timing.lines(), sep="\n")
+    print(result["log"])
 
 
 def _compile(scenario: "Scenario", hidden: bool) -> None:
@@ -132,19 +164,19 @@ def _compile(scenario: "Scenario", hidden: bool) -> None:
         notice.end()
 
 
-def _scenario(arguments: argparse.Namespace) -> "Scenario":
+def scenario_of(arguments: argparse.Namespace) -> "Scenario":
     """Load the scenario, or the one that a campaign flew in a run."""
     from ahrs_sim import scenario as scenarios
 
     if (arguments.campaign is None) != (arguments.number is None) or (arguments.campaign and arguments.scenario):
         raise InputError("fly: give a scenario, or --from DIR and --run N")
     if arguments.campaign is not None:
-        from ahrs_sim.runs.campaign import scenario_of
+        from ahrs_sim.runs import campaign
 
         changed = (arguments.seed, arguments.duration, arguments.pilot)
         if arguments.estimator or any(value is not None for value in changed):
             raise InputError("fly: --from repeats a run as it was; leave --seed, --duration, --estimator, --pilot out")
-        return scenario_of(arguments.campaign, arguments.number, gate(arguments.allow_code, arguments.quiet))
+        return campaign.scenario_of(arguments.campaign, arguments.number, gate(arguments.allow_code, arguments.quiet))
     if arguments.scenario is None:
         raise InputError("fly: no scenario given; see ahrs-sim list scenarios")
     return scenarios.load(
@@ -157,7 +189,7 @@ def _scenario(arguments: argparse.Namespace) -> "Scenario":
     )
 
 
-def _output(arguments: argparse.Namespace, scenario: "Scenario") -> Path:
+def output_of(arguments: argparse.Namespace, scenario: "Scenario") -> Path:
     """Choose the file of the log; what exists stays unless `--force` is given."""
     output: Path = arguments.output or Path("logs") / f"{scenario.name}-seed{scenario.seed}.mcap"
     if output.exists() and not arguments.force:

@@ -46,7 +46,7 @@ from ahrs_sim.log.topics import (
     TRUTH_RATE,
     Route,
 )
-from ahrs_sim.sensors.records import FixRecord, ImuRecord, MagRecord, Record
+from ahrs_sim.sensors.records import Answers, FixRecord, ImuRecord, MagRecord, Record
 from ahrs_sim.world import wgs84
 from estimators.types import Estimates
 
@@ -88,17 +88,18 @@ class EstimateTopics:
         if not len(block):
             return
         times = nanoseconds(self.epoch_ns, block.t)
+        arrival = nanoseconds(self.epoch_ns, block.arrival) if isinstance(block, Answers) else times
         state, imu, _, _ = self._channels[name]
-        self.writer.write(state, times, times, **STATE.columns(block))
+        self.writer.write(state, arrival, times, **STATE.columns(block))
         self._plot(name, block)
         known = np.isfinite(block.q_nb).all(axis=1)
         if known.any():
-            block, times = take(block, known), times[known]
+            block, times, arrival = take(block, known), times[known], arrival[known]
             covariance = np.nan_to_num(block.att_cov)
             columns = {"orientation": block.q_nb, "orientation_covariance": covariance}
-            self.writer.write(imu, times, times, **columns)
+            self.writer.write(imu, arrival, times, **columns)
             if self._twins:
-                self._twins.write(ESTIMATED_IMU, f"/est/{name}", times, times, columns)
+                self._twins.write(ESTIMATED_IMU, f"/est/{name}", arrival, times, columns)
 
     def _plot(self, name: str, block: Estimates) -> None:
         """Write attitudes at `PLOT_RATE`, and errors as soon as the reference is there."""

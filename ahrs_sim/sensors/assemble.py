@@ -36,7 +36,7 @@ class Assembler:
     """
 
     def __init__(self) -> None:
-        self._latches = {name: _Latch(cls) for name, cls in _TYPES.items()}
+        self._latches = {name: Latch(cls) for name, cls in _TYPES.items()}
         self._imu: Any = ImuRecord(**blank(ImuRecord, 0))
 
     def assemble(self, block: SuiteBlock) -> Samples:
@@ -87,7 +87,7 @@ def _seconds(ns: np.ndarray) -> np.ndarray:
     return np.where(ns == _NEVER, np.nan, ns * 1e-9)
 
 
-class _Latch:
+class Latch:
     """The last arrived record of one kind at each IMU message."""
 
     def __init__(self, cls: type[Record]) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.types import Columns, column
+from estimators.types import Columns, Estimates, column
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +109,13 @@ class AttitudeRecord(Record):
     """Attitude of a reference: the truth of a flight, or what a bag has to compare with."""
 
     q_nb: np.ndarray = column(4)  # (n, 4)
+
+
+@dataclass(frozen=True, slots=True)
+class Answers(Estimates):
+    """What a unit under test has answered, each row when it came."""
+
+    arrival: np.ndarray = column()  # (n,) s of flight
 
 
 SuiteBlock = dict[str, Record]
