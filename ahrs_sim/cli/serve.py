@@ -17,7 +17,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument(
         "--serial", required=True, metavar="WIRE", help="pty, tcp:PORT, or a device: /dev/ttyUSB0@115200"
     )
-    command.add_argument("--protocol", required=True, metavar="NAME", help="mavlink")
+    command.add_argument("--protocol", required=True, metavar="NAME", help="mavlink, vectornav, sbg or ubx+nmea")
     command.add_argument("--rate", type=positive, default=1.0, metavar="X", help="so many times real time")
     command.add_argument("--suite", metavar="NAME", help="whose sensors the unit sees (default: the scenario's first)")
     command.add_argument("--name", default="unit", help="of the unit in log and table (default: unit)")

@@ -98,3 +98,8 @@ def _position(samples: Samples, fix: Any, i: int) -> Position:
 
 def _heading(samples: Samples, i: int) -> Heading:
     return Heading(round(float(samples.heading_t[i]) * 1e9), float(samples.heading[i]), float(samples.heading_sigma[i]))
+
+
+def pressure_altitude(pressure: float) -> float:
+    """Compute the height (m) of a static pressure (Pa) in the ICAO standard atmosphere, below 11 km (Doc 7488)."""
+    return float(44330.77 * (1.0 - (pressure / 101325.0) ** 0.1902632))

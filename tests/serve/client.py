@@ -16,51 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from readers import READERS
 
 import estimators
+from ahrs_sim import attitude
 from estimators.types import Samples, SensorInfo, Site, blank
-
-
-class MavlinkReader:
-    """pymavlink on both ways."""
-
-    def __init__(self, site: Site) -> None:
-        os.environ["MAVLINK20"] = "1"
-        from pymavlink.dialects.v20 import common
-
-        self.mav = common.MAVLink(None, srcSystem=7)
-        self.mav.robust_parsing = True
-
-    def rows(self, data: bytes) -> list[dict[str, Any]]:
-        rows, self.kept = [], getattr(self, "kept", {})
-        for message in self.mav.parse_buffer(data) or []:
-            if message.get_type() == "GPS_INPUT" and message.fix_type >= 3:
-                self.kept |= {
-                    "lla": [np.radians(message.lat * 1e-7), np.radians(message.lon * 1e-7), message.alt],
-                    "vel_n": [message.vn, message.ve, message.vd],
-                    "gnss_t": message.time_usec * 1e-6,
-                    "gnss_satellites": message.satellites_visible,
-                    "gnss_new": True,
-                }
-            if message.get_type() != "HIGHRES_IMU":
-                continue
-            row = {
-                "t": message.time_usec * 1e-6,
-                "stamp": message.time_usec // 1000,
-                "gyro_b": [message.xgyro, message.ygyro, message.zgyro],
-                "accel_b": [message.xacc, message.yacc, message.zacc],
-            }
-            if message.fields_updated & 448:
-                row |= {"mag_b": np.array([message.xmag, message.ymag, message.zmag]) * 1e-4, "mag_new": True}
-            rows.append(row | self.kept)
-            self.kept = {}
-        return rows
-
-    def answer(self, row: dict[str, Any], q: np.ndarray, cov: np.ndarray) -> bytes:
-        return self.mav.attitude_quaternion_encode(row["stamp"], *q, 0, 0, 0).pack(self.mav)
-
-
-READERS = {"mavlink": MavlinkReader}
 
 
 def sample(row: dict[str, Any]) -> Samples:
@@ -97,7 +57,7 @@ def main(wire: str, protocol: str, known: str, most: float = np.inf) -> None:
     sensors = SensorInfo(**{k: tuple(v) if isinstance(v, list) else v for k, v in given["sensors"].items()})
     estimator = estimators.create(given["method"], site=site, sensors=sensors, **given["settings"])
     warm_up(estimator, site)
-    fd, reader, count = open_wire(wire), READERS[protocol](site), 0
+    fd, reader, count = open_wire(wire), READERS[protocol](), 0
     while count < most:
         ready, _, _ = select.select([fd], [], [], 30.0)
         try:
@@ -110,7 +70,7 @@ def main(wire: str, protocol: str, known: str, most: float = np.inf) -> None:
             estimates = estimator.process(sample(row))
             count += 1
             if np.isfinite(estimates.q_nb[0, 0]):
-                os.write(fd, reader.answer(row, estimates.q_nb[0], estimates.att_cov[0]))
+                os.write(fd, reader.answer(row, estimates.q_nb[0], attitude.euler(estimates.q_nb)[0]))
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,16 +20,22 @@ from ahrs_sim.flight import open_flight
 from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.mcap.reader import stamps
 from ahrs_sim.sensors import make_suite
+from ahrs_sim.sensors.assemble import Assembler
+from estimators import create
+from estimators.types import Estimates, Samples, SensorInfo, Site
 
 CLIENT = Path(__file__).parent / "client.py"
 FLIGHT = """
 extends = "takeoff"
 duration_s = 20.0
 estimators = ["inside"]
+[suite.chr]
+instruments = ["imu", "magnetometer", "gnss", "air_data"]
 [estimator.inside]
-method = "{method}"
+method = "marg-ekf"
 suite = "chr"
 align_s = 5.0
+aiding = "airspeed"
 [[step]]
 do = "wait"
 for_s = 6.0
@@ -42,17 +49,35 @@ through_deg = 180.0
 """
 
 
-def prepare(folder: Path, method: str = "marg-ekf") -> str:
+# u-blox has no magnetometer and no air data: a navigator, which finds its heading in motion
+OTHER = {
+    "ubx+nmea": {"instruments": ["imu", "gnss"], "method": "ins15", "settings": {"align_s": 5.0, "heading_aid": False}},
+    "mavlink": {"settings": {"align_s": 5.0}},  # of MAVLink's sensor messages none has the airspeed
+    "vectornav": {"settings": {"align_s": 5.0}},
+}
+
+
+def prepare(folder: Path, protocol: str = "sbg") -> str:
     """A scenario, and beside it what the unit has to know."""
+    import tomllib
+
+    import tomli_w
+
     path = folder / "flight.toml"
-    path.write_text(FLIGHT.format(method=method))
+    data = tomllib.loads(FLIGHT)
+    other = OTHER.get(protocol, {})
+    settings = other.get("settings", {"align_s": 5.0, "aiding": "airspeed"})
+    method = other.get("method", "marg-ekf")
+    data["suite"]["chr"]["instruments"] = other.get("instruments", data["suite"]["chr"]["instruments"])
+    data["estimator"]["inside"] = {"method": method, "suite": "chr", **settings}
+    path.write_text(tomli_w.dumps(data))
     made = scenario.load(str(path))
     flight = open_flight(made)
     place = site(flight.start_lla, made.epoch)
-    suite = make_suite(made.suites[0], seed=made.seed, dt=flight.dt, epoch=made.epoch, start_lla=np.array(place.lla))
+    component = next(c for c in made.suites if c.name == "chr")
+    suite = make_suite(component, seed=made.seed, dt=flight.dt, epoch=made.epoch, start_lla=np.array(place.lla))
     known = {"site": dataclasses.asdict(place), "sensors": dataclasses.asdict(suite.info)}
-    known |= {"method": method, "settings": {"align_s": 5.0}}
-    (folder / "known.json").write_text(json.dumps(known))
+    (folder / "known.json").write_text(json.dumps({**known, "method": method, "settings": settings}))
     return str(path)
 
 
@@ -71,45 +96,84 @@ def served(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
             process.kill()
 
 
-def fly_with_unit(folder: Path, protocol: str, serial: str, method: str = "marg-ekf") -> dict[str, object]:
+def fly_with_unit(folder: Path, protocol: str, serial: str) -> dict[str, Any]:
     """Serve a flight to the client; the printed result."""
-    path = prepare(folder, method)
+    path = prepare(folder, protocol)
     options = ["--serial", serial, "--protocol", protocol, "--rate", "4", "-o", str(folder / "x.mcap"), "--json"]
     with served(path, *options) as (process, wire):
         unit = subprocess.Popen([sys.executable, str(CLIENT), wire, protocol, str(folder / "known.json")])
         out, err = process.communicate(timeout=300)
         assert process.returncode == 0, err
         unit.wait(10)
-    result: dict[str, object] = json.loads(out)
+    result: dict[str, Any] = json.loads(out)
     return result
 
 
-def differences(log: Path) -> np.ndarray:
+def differences(log: Path, inside: Estimates | None = None) -> np.ndarray:
     """Angles (n,) deg between the attitudes of the unit and in process, of the same samples."""
     with FlightReader(log) as reader:
-        inside, unit = reader.estimates("inside"), reader.estimates("unit")
+        unit = reader.estimates("unit")
+        inside = inside or reader.estimates("inside")
     known = np.isfinite(unit.q_nb[:, 0])
-    rows = np.searchsorted(inside.t, unit.t[known] - 1e-7)
-    np.testing.assert_allclose(inside.t[rows], unit.t[known], atol=1e-8)
+    rows = np.searchsorted(inside.t, unit.t[known] - 6e-4)
+    np.testing.assert_allclose(inside.t[rows], unit.t[known], atol=6e-4)
     turn = attitude.rotation_vector(unit.q_nb[known], inside.q_nb[rows])
-    assert np.isfinite(turn).all() and np.ptp(attitude.euler(inside.q_nb[rows])[:, 1]) > 0.1
-    return np.degrees(np.linalg.norm(turn, axis=1))
+    both = np.isfinite(turn[:, 0])
+    assert both.sum() > len(both) - 3 and np.ptp(attitude.euler(inside.q_nb[rows[both]])[:, 1]) > 0.1
+    return np.degrees(np.linalg.norm(turn[both], axis=1))
 
 
-@pytest.mark.parametrize(("protocol", "serial", "most"), [("mavlink", "pty", 1e-3), ("mavlink", "tcp:0", 1e-3)])
+def through_ubx(folder: Path) -> Estimates:
+    """What the estimator makes of the log's samples in the resolution of UBX."""
+    known = json.loads((folder / "known.json").read_text())
+    with FlightReader(folder / "x.mcap") as reader:
+        assembler = Assembler()
+        blocks = [assembler.assemble(block["chr"]) for block in reader.suite_blocks(["chr"])]
+    s = Samples.concatenate(blocks)
+    lla = np.column_stack(
+        [np.radians(np.rint(np.degrees(s.lla[:, :2]) * 1e7) * 1e-7), np.rint(s.lla[:, 2] * 1e3) * 1e-3]
+    )
+    coarse = dataclasses.replace(
+        s,
+        t=np.rint(s.t * 1e3) * 1e-3,
+        gyro_b=np.radians(np.rint(np.degrees(s.gyro_b) * 4096) / 4096),
+        accel_b=np.rint(s.accel_b * 1024) / 1024,
+        lla=lla,
+        vel_n=np.rint(s.vel_n * 1e3) * 1e-3,
+        gnss_t=np.rint(s.gnss_t * 1e3) * 1e-3,
+    )
+    given = [{k: tuple(v) if isinstance(v, list) else v for k, v in known[key].items()} for key in ("site", "sensors")]
+    made = create(known["method"], site=Site(**given[0]), sensors=SensorInfo(**given[1]), **known["settings"])
+    return made.process(coarse)
+
+
+@pytest.mark.parametrize(
+    ("protocol", "serial", "most"),
+    [
+        ("mavlink", "pty", 1e-3),
+        ("mavlink", "tcp:0", 1e-3),
+        ("vectornav", "pty", 1e-3),
+        ("sbg", "pty", 1e-3),
+        ("ubx+nmea", "pty", 1e-3),
+    ],
+)
 def test_a_unit_on_the_wire_has_the_figures_of_the_same_estimator_in_process(
     tmp_path: Path, protocol: str, serial: str, most: float
 ) -> None:
     result = fly_with_unit(tmp_path, protocol, serial)
     timing = result["timing"]
     assert timing["sent"] == 2001 and timing["foreign"] == timing["damaged"] == 0
-    assert timing["answers"] > 1000 and 0.0 < timing["latency_s"][0] < timing["latency_s"][-1]
+    assert timing["answers"] > 500 and 0.0 < timing["latency_s"][0] < timing["latency_s"][-1]
     off = differences(tmp_path / "x.mcap")
-    assert len(off) == timing["answers"]
+    if protocol == "ubx+nmea":
+        print(f"{protocol}: resolution costs {np.sqrt(np.mean(off**2)):.2e} deg RMS")
+        off = differences(tmp_path / "x.mcap", through_ubx(tmp_path))
+    assert len(off) > timing["answers"] - 3
     print(f"{protocol}: largest difference {off.max():.2e} deg, latency {timing['latency_s'][0] * 1e3:.2f} ms")
     assert off.max() < most
     inside, unit = result["estimators"]["inside"], result["estimators"]["unit"]
     assert unit["tilt_rmse_deg"] == pytest.approx(inside["tilt_rmse_deg"], rel=0.05)
+    assert unit["availability"] == pytest.approx(inside["availability"], abs=0.1)
     with FlightReader(tmp_path / "x.mcap") as reader:
         messages = reader.read("/est/unit/state")
         late = (messages["log_time"] - stamps(messages)) / 1e9
@@ -153,7 +217,7 @@ def test_names_and_suites_that_do_not_fit_are_one_line(capsys: pytest.CaptureFix
 
 @pytest.mark.parametrize("serial", ["pty", "tcp:0"])
 def test_a_link_that_is_lost_ends_the_flight_with_a_complete_log(tmp_path: Path, serial: str) -> None:
-    path, log = prepare(tmp_path), tmp_path / "x.mcap"
+    path, log = prepare(tmp_path, "mavlink"), tmp_path / "x.mcap"
     options = ["--serial", serial, "--protocol", "mavlink", "--rate", "4", "-o", str(log)]
     with served(path, *options) as (process, wire):
         # leaves after 1000 samples

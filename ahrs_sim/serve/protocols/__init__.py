@@ -3,6 +3,9 @@
 | name | stream | answer | time stamps |
 |---|---|---|---|
 | mavlink | HIGHRES_IMU with magnetometer and pressures, GPS_INPUT | ATTITUDE_QUATERNION(_COV), ATTITUDE | us; ms |
+| vectornav | binary output: IMU; magnetometer and pressure; GNSS | Quaternion or Ypr with TimeStartup, YprU | ns |
+| sbg | IMU_SHORT, MAG, GPS1_POS, GPS1_VEL, GPS1_HDT, AIR_DATA | EKF_QUAT, EKF_EULER | us |
+| ubx+nmea | ESF-MEAS, NAV-PVT; GGA, RMC, HDT | NAV-ATT | ms |
 
 A protocol is a class with `encode` and `feed`; the table below names it.
 """
@@ -43,6 +46,9 @@ class Protocol(Interface):
 
 _CLASSES = {
     "mavlink": "ahrs_sim.serve.protocols.mavlink:Mavlink",
+    "vectornav": "ahrs_sim.serve.protocols.vectornav:VectorNav",
+    "sbg": "ahrs_sim.serve.protocols.sbg:Sbg",
+    "ubx+nmea": "ahrs_sim.serve.protocols.ublox:Ublox",
 }
 NAMES = tuple(_CLASSES)
 

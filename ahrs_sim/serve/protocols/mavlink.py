@@ -13,8 +13,8 @@ import numpy as np
 
 from ahrs_sim import attitude
 from ahrs_sim.serve.protocols import Answer
-from ahrs_sim.serve.protocols.checksums import crc16_reflected
-from ahrs_sim.serve.readings import Heading, Position, Reading
+from ahrs_sim.serve.protocols.framing import crc16_reflected, gps_time
+from ahrs_sim.serve.readings import Heading, Position, Reading, pressure_altitude
 
 MESSAGES: dict[str, tuple[int, str, int]] = {
     "HEARTBEAT": (0, "<IBBBBB", 50),
@@ -117,13 +117,13 @@ class Mavlink:
             t_ns = heading.t_ns
         placed, moving = np.isfinite(lla[0]), np.isfinite(vel[0])
         ignored = 2 | 4 | 32 | (0 if placed else 1 | 64 | 128) | (0 if moving else 8 | 16)  # hdop, vdop, velocity sigma
-        week, in_week_ms = gps_time(self._zero_ns + t_ns)
+        week, in_week_ns = gps_time(self._zero_ns + t_ns)
         lat, lon = (round(math.degrees(x) * 1e7) for x in np.nan_to_num(lla[:2]))
         yaw = round(math.degrees(heading.heading) * 100) % 36000 or 36000 if heading else 0  # 0: none, 36000: north
         horizontal = math.hypot(sigma[0], sigma[1])
         numbers = np.nan_to_num([lla[2], 0.0, 0.0, *vel, 0.0, horizontal, sigma[2]])
         return self._wire.pack(
-            "GPS_INPUT", t_ns // 1000, in_week_ms, lat, lon, *numbers, ignored, week, 0, 3 if placed else 0,
+            "GPS_INPUT", t_ns // 1000, in_week_ns // 10**6, lat, lon, *numbers, ignored, week, 0, 3 if placed else 0,
             satellites, yaw,
         )  # fmt: skip
 
@@ -157,14 +157,8 @@ def sensors(reading: Reading) -> tuple[Any, ...]:
     static = diff = height = 0.0
     if reading.static_pressure is not None:
         static, updated = reading.static_pressure / 100.0, updated | 1 << 9 | 1 << 11
-        height = 44330.77 * (1.0 - (static / 1013.25) ** 0.1902632)  # ICAO standard atmosphere, troposphere
+        height = pressure_altitude(reading.static_pressure)
     if reading.diff_pressure is not None:
         diff, updated = reading.diff_pressure / 100.0, updated | 1 << 10
     celsius = reading.temperature - 273.15
     return (*reading.accel_b, *reading.gyro_b, *field, static, diff, height, celsius, updated)
-
-
-def gps_time(ns: int) -> tuple[int, int]:
-    """Convert ns since 1970 (UTC) to the GPS week and the ms in it; 18 leap seconds, those since 2017."""
-    ms = ns // 1_000_000 - 315_964_800_000 + 18_000
-    return ms // 604_800_000, ms % 604_800_000
