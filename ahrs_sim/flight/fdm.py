@@ -79,17 +79,35 @@ class Fdm:
         self._mute()
         self._collect(path.parent, path.name)
 
-    def load_script(self, name: str, where: str) -> float | None:
-        """Load a script of JSBSim's with its aircraft; its end time (s), None when it has none.
+    def load_script(self, name: str, where: str, aircraft: str = "") -> float | None:
+        """Load a script with its aircraft: one of JSBSim's by its name, somebody's own by its path; its end time (s).
+
+        Args:
+            name: of the script, or a path from the folder of `where` on.
+            where: the file that names it.
+            aircraft: path of somebody's own aircraft, of the name that the script has; empty: one of JSBSim's.
+
+        Returns:
+            None when it has no end.
 
         Raises:
-            InputError: there is no such script, or JSBSim cannot read it.
+            InputError: there is no such script or aircraft, one that may not be read, or JSBSim cannot read it.
         """
-        known = scripts()
-        if name not in known:
-            raise InputError(f"{where}: script: '{name}' is unknown{nearest(name, known)}")
+        path = script_path(name, where)
+        own = _own_model(aircraft, where) if aircraft else None
+        if path.parent != library_dir() / "scripts":
+            check_model(path, library_dir(), where, "script")
+            self._roots[path.parent] = "scripts"
+        if own is not None:
+            check_model(own, library_dir(), where)
+            if own.parent.name != own.stem:
+                raise InputError(
+                    f"{where}: aircraft: {own.name} must lie in a folder '{own.stem}' for a script to find it"
+                )
+            self._roots[own.parent] = f"aircraft/{own.parent.name}"
+            self.exec.set_aircraft_path(str(own.parent.parent))
         try:
-            loaded = self.exec.load_script(str(known[name]), self.dt)
+            loaded = self.exec.load_script(str(path), self.dt)
         except RuntimeError as error:
             self.log.text = str(error)
             loaded = False
@@ -97,17 +115,12 @@ class Fdm:
             raise InputError(f"{where}: script: JSBSim cannot load '{name}': {self.log.text or 'no reason given'}")
         self.exec.set_dt(self.dt)
         self._mute()
-        self.sources.append(known[name])
+        self.sources.append(path)
         model = self.exec.get_model_name()
-        self._collect(library_dir() / "aircraft" / model, f"{model}.xml")
-        run = ET.parse(known[name]).getroot().find("run")
+        self._collect(own.parent if own else library_dir() / "aircraft" / model, f"{model}.xml")
+        run = ET.parse(path).getroot().find("run")
         end = run.get("end") if run is not None else None
         return float(end) if end else None
-
-    def trims(self, name: str) -> bool:
-        """Whether the script of that name trims, which puts the aircraft back to where it began."""
-        text = scripts()[name].read_text(errors="replace")
-        return "simulation/do_simple_trim" in text or "simulation/do_trim" in text
 
     def begin(self) -> None:
         """Put the aircraft where `ic/...` says; a property that only another simulator would provide is made, and is 0.
@@ -272,9 +285,13 @@ def aircraft() -> dict[str, Path]:
     return found
 
 
+def _is_path(name: str) -> bool:
+    return "/" in name or os.sep in name or name.endswith(".xml")
+
+
 def _own_model(name: str, where: str) -> Path | None:
     """The XML file of an aircraft given as a path; None: it is a name."""
-    if not ("/" in name or os.sep in name or name.endswith(".xml")):
+    if not _is_path(name):
         return None
     path = (Path(where).parent / Path(name).expanduser()).resolve()
     if is_file(path):
@@ -293,6 +310,29 @@ def _own_model(name: str, where: str) -> Path | None:
 
 def _is_model(path: Path) -> bool:
     return "<fdm_config" in path.read_text(encoding="utf-8", errors="replace")
+
+
+def script_path(name: str, where: str) -> Path:
+    """The file of a script: of JSBSim's by its name, else a path from the folder of the file `where` on.
+
+    Raises:
+        InputError: there is none.
+    """
+    if not _is_path(name):
+        known = scripts()
+        if name not in known:
+            raise InputError(f"{where}: script: '{name}' is unknown{nearest(name, known)}")
+        return known[name]
+    path = (Path(where).parent / Path(name).expanduser()).resolve()
+    if not is_file(path):
+        raise InputError(f"{where}: script: '{name}': there is no file {path}")
+    return path
+
+
+def trims(script: Path) -> bool:
+    """Whether a script trims, which puts the aircraft back to where it began."""
+    text = script.read_text(errors="replace")
+    return "simulation/do_simple_trim" in text or "simulation/do_trim" in text
 
 
 def scripts() -> dict[str, Path]:

@@ -13,6 +13,7 @@ After `run()` state, forces and accelerations belong to the same instant.
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
@@ -34,7 +35,7 @@ from ahrs_sim.flight.columns import (
     Column,
 )
 from ahrs_sim.flight.design import Design, design
-from ahrs_sim.flight.fdm import Fdm, configure
+from ahrs_sim.flight.fdm import Fdm, configure, script_path, trims
 from ahrs_sim.flight.laws import RATE
 from ahrs_sim.flight.manoeuvres import Manoeuvre, parse_steps
 from ahrs_sim.flight.pilot import Pilot, own_autopilot
@@ -74,14 +75,15 @@ class JsbsimFlight:
         end = math.inf if scenario.duration is None else scenario.duration
         self._scripted = scenario.script is not None
         if scenario.script is not None:
-            script_end = fdm.load_script(scenario.script, scenario.where)
+            script_end = fdm.load_script(scenario.script, scenario.where, _own_aircraft(scenario))
             model = fdm.exec.get_model_name()
-            if scenario.aircraft not in ("", model):
+            if Path(scenario.aircraft).stem not in ("", model):
                 raise InputError(
                     f"{scenario.where}: aircraft: script '{scenario.script}' flies '{model}', not "
                     f"'{scenario.aircraft}'; leave aircraft out"
                 )
-            self._skipped = _last_trim(scenario, self.dt, script_end) if fdm.trims(scenario.script) else 0.0
+            jumps = trims(script_path(scenario.script, scenario.where))
+            self._skipped = _last_trim(scenario, self.dt, script_end) if jumps else 0.0
             if script_end is not None:
                 end = min(end, script_end - self._skipped)
         else:
@@ -409,10 +411,15 @@ class JsbsimFlight:
         )
 
 
+def _own_aircraft(scenario: Scenario) -> str:
+    """The path of a script's aircraft where it is not one of JSBSim's."""
+    return scenario.aircraft if scenario.aircraft not in ("", Path(scenario.aircraft).stem) else ""
+
+
 def _last_trim(scenario: Scenario, dt: float, end: float | None) -> float:
     """The time (s) up to which a script puts the aircraft elsewhere by trimming it, flown beforehand to see."""
     fdm = Fdm(dt)
-    fdm.load_script(scenario.script or "", scenario.where)
+    fdm.load_script(scenario.script or "", scenario.where, _own_aircraft(scenario))
     fdm.begin()
     get = [fdm.getter(column.source) for column in list(Column)[: EULER_ANGLES.stop]]
     rows = [[g() for g in get]]

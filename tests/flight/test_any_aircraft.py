@@ -1,6 +1,7 @@
 """Aircraft that are not ours: analysed, flown by the one autopilot, refused in one line where that is not possible."""
 
 import math
+import re
 import shutil
 
 import numpy as np
@@ -129,6 +130,57 @@ def test_an_aircraft_of_ones_own_by_path(tmp_path):
     flown = Flown(made)
     assert flown.error is None
     assert np.abs(flown.roll[steady(flown, 2)] - 30.0).max() < 3.0
+
+
+def script(folder, **changed):
+    """A script of JSBSim's beside a scenario, with other attributes of its aircraft."""
+    text = (library_dir() / "scripts" / "c1721.xml").read_text()
+    attributes = {"aircraft": "c172r", "initialize": "reset00", **changed}
+    use = " ".join(f'{k}="{v}"' for k, v in attributes.items())
+    (folder / "scripts").mkdir(exist_ok=True)
+    (folder / "scripts" / "mine.xml").write_text(re.sub(r"<use [^>]*>", f"<use {use}/>", text))
+
+
+def scripted(folder, **data):
+    made = make(duration_s=2.0, **{"script": "scripts/mine.xml", **data})
+    object.__setattr__(made, "where", str(folder / "scenario.toml"))
+    return made
+
+
+def test_a_script_of_ones_own_by_path(tmp_path):
+    """Flies as the same script of JSBSim's, and goes into the log; with an aircraft of one's own, too."""
+    script(tmp_path)
+    theirs, mine = Flown(make(script="c1721", duration_s=2.0)), Flown(scripted(tmp_path))
+    np.testing.assert_array_equal(mine.truth.q_nb, theirs.truth.q_nb)
+    np.testing.assert_array_equal(mine.truth.lla, theirs.truth.lla)
+    files = mine.flight.attachments()
+    assert "scripts/mine.xml" in files
+    assert "aircraft/c172r/c172r.xml" in files
+    own = tmp_path / "hangar" / "mine"
+    shutil.copytree(library_dir() / "aircraft" / "c172r", own)
+    (own / "c172r.xml").rename(own / "mine.xml")
+    script(tmp_path, aircraft="mine")
+    flown = Flown(scripted(tmp_path, aircraft="hangar/mine"))
+    np.testing.assert_array_equal(flown.truth.q_nb, theirs.truth.q_nb)
+    assert {"scripts/mine.xml", "aircraft/mine/mine.xml"} <= set(flown.flight.attachments())
+
+
+@pytest.mark.parametrize(
+    ("changed", "data", "message"),
+    [
+        ({}, {"script": "scripts/gone.xml"}, "script: 'scripts/gone.xml': there is no file"),
+        ({}, {"script": "c17231"}, "script: 'c17231' is unknown"),
+        ({"initialize": "../../../etc/passwd"}, {}, "initialize '../../../etc/passwd' must be a name"),
+        ({"aircraft": "../c172r"}, {}, "aircraft '../c172r' must be a name"),
+        ({}, {"aircraft": "c172p"}, "flies 'c172r', not 'c172p'"),
+        ({}, {"aircraft": "hangar/mine"}, "there is no file or folder"),
+    ],
+)
+def test_what_a_script_may_not_do_is_refused_in_one_line(tmp_path, changed, data, message):
+    script(tmp_path, **changed)
+    with pytest.raises(InputError, match=re.escape(message)) as caught:
+        open_flight(scripted(tmp_path, **data))
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
