@@ -12,7 +12,9 @@ dv_n/dt - g. That brings a start in a turn from the angle of bank to a few degre
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Annotated, Any
 
 import numpy as np
@@ -34,6 +36,9 @@ SETTINGS = {
 }
 ALIGNED = {name: setting for name, setting in SETTINGS.items() if name != "initialisation"}
 """For models without the paper's start."""
+
+LONGEST_GAP = 5.0
+"""s: after a longer gap the attitude is aligned anew, since no prediction stands for the rates that are missing."""
 
 MOVING_S = 5.0  # s
 SHORT_TILT, SHORT_RATE = math.radians(2.0), math.radians(0.5)  # rad s, rad: over the length, of a stretch cut short
@@ -281,6 +286,19 @@ def _align(owner: None, kernel: Kernel) -> Kernel:
         return count
 
     return body
+
+
+def pieces(t: np.ndarray, last: float) -> Iterator[tuple[int, int, bool]]:
+    """Cut times (n,) s at gaps longer than `LONGEST_GAP`: first and last + 1 of each piece, whether to align anew.
+
+    Args:
+        t: times of the rows.
+        last: of the row before them; NaN: there is none.
+    """
+    cuts = np.flatnonzero(np.diff(t, prepend=last) > LONGEST_GAP)
+    edges = [0, *(int(c) for c in cuts if c > 0), len(t)]
+    for first, end in pairwise(edges):
+        yield first, end, first in cuts
 
 
 def limits(sensors: SensorInfo) -> tuple[float, float]:

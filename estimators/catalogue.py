@@ -42,6 +42,7 @@ class Method:
     own: bool = True  # false: of another installed package, by its entry point
     package: str = ""  # that it needs besides
     given: Mapping[str, Setting] | None = None  # the settings, if they are not those of model and filter
+    aiding: str = "none"  # what keeps the velocity, as in the setting of that name, where there is none
 
     @property
     def installed(self) -> bool:
@@ -101,13 +102,15 @@ _METHODS = (
     ),
     Method("tilt-ekf", "Direction of gravity, no heading: what sekf is compared with", _YAO, "", "tilt"),
     Method(
-        "ins9-ukf", "Inertial navigator, 9 states; dual antenna or course by number of satellites", _ZHAO, "ukf", "ins9"
+        "ins9-ukf", "Inertial navigator, 9 states; dual antenna or course by number of satellites", _ZHAO,
+        "ukf", "ins9",
+        aiding="gnss",
     ),
-    Method("ins9-ekf", "The same, extended Kalman filter", _ZHAO, "ekf", "ins9"),
+    Method("ins9-ekf", "The same, extended Kalman filter", _ZHAO, "ekf", "ins9", aiding="gnss"),
     Method("ins21", "Inertial navigator, GNSS velocity and position, magnetic heading, 21 states", _OWN, "", "ins"),
     Method(
         "ins-cal", "Inertial navigator that calibrates its sensors: GNSS, magnetic field, 61 states", _OWN,
-        "", "estimators.navigator.navigator:Navigator", given=NAVIGATOR,
+        "", "estimators.navigator.navigator:Navigator", given=NAVIGATOR, aiding="gnss",
     ),
     Method(
         "ins15", "Inertial navigator, GNSS velocity and position, magnetic heading, 15 states", _OWN,

@@ -2,7 +2,6 @@
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from itertools import pairwise
 from types import ModuleType
 from typing import Any, Protocol
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from estimators import adaptation
 from estimators.adaptation.base import fresh
-from estimators.alignment import ALIGNING, STILL, Stretch, align, conclude, limits
+from estimators.alignment import ALIGNING, STILL, Stretch, align, conclude, limits, pieces
 from estimators.errors import EstimationError, SampleError
 from estimators.filters.base import Method
 from estimators.filters.work import Carry, Work
@@ -19,11 +18,9 @@ from estimators.models.base import Bound, Start
 from estimators.native import Record, loaded, passed, same_integers
 from estimators.records import blank_estimates, pack, unpack
 from estimators.run import run, screen
-from estimators.types import Estimates, Samples, SensorInfo, Site
+from estimators.types import MEASUREMENTS, Estimates, Samples, SensorInfo, Site
 
 STATE_VERSION = 2
-LONGEST_GAP = 5.0
-"""s: after a longer gap the attitude is aligned anew, since no prediction stands for the rates that are missing."""
 
 
 class Estimator(Protocol):
@@ -44,6 +41,16 @@ class Estimator(Protocol):
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from a copy made by `state`."""
         ...
+
+
+def _named(layout: np.dtype[Any], first: int = 0, path: str = "") -> Iterator[tuple[str, slice]]:
+    """Names and places of the numbers of a record, in numbers."""
+    for name, (inner, offset, *_) in (layout.fields or {}).items():
+        start = first + offset // 8
+        if inner.fields:
+            yield from _named(inner, start, f"{path}{name}.")
+        else:
+            yield f"{path}{name}", slice(start, start + inner.itemsize // 8)
 
 
 def _kind(array: np.ndarray) -> str:
@@ -105,6 +112,11 @@ class FilterEstimator:
         """The model's record `Parameters`; None before the alignment is over."""
         return None if self._model is None else self._model.parameters
 
+    @property
+    def measurements(self) -> dict[str, slice]:
+        """The columns of its innovations by the names of what is measured, `gnss.vel_n`, `mag_b`."""
+        return {name: columns for name, columns in _named(self._module.Readings.dtype) if columns.stop <= MEASUREMENTS}
+
     def process(self, samples: Samples) -> Estimates:
         """One row of estimates for each row of samples.
 
@@ -118,19 +130,12 @@ class FilterEstimator:
             self._to_gyro_time(*passed(rows), n, *self._delays)
         self._check_stamps(rows)
         out = blank_estimates(n)
-        for first, end, anew in self._pieces(rows["t"]):
+        last = float(self._stretch.last_t if self._carry is None else self._carry.clock)
+        for first, end, anew in pieces(rows["t"], last):
             if anew:
                 self.reset()
             self._process(rows[first:end], out[first:end])
         return unpack(out)
-
-    def _pieces(self, t: np.ndarray) -> Iterator[tuple[int, int, bool]]:
-        """Cut times (n,) at gaps longer than `LONGEST_GAP`: first and last + 1 of each piece, whether to begin anew."""
-        last = float(self._stretch.last_t if self._carry is None else self._carry.clock)
-        cuts = np.flatnonzero(np.diff(t, prepend=last) > LONGEST_GAP)
-        edges = [0, *(int(c) for c in cuts if c > 0), len(t)]
-        for first, end in pairwise(edges):
-            yield first, end, first in cuts
 
     def _process(self, rows: np.ndarray, out: np.ndarray) -> None:
         """Estimate rows without a long gap into estimates."""

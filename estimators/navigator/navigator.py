@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from estimators.alignment import ALIGNING, NO_HEADING, STILL, Alignment, Stretch, align, conclude, limits
+from estimators.alignment import ALIGNING, NO_HEADING, STILL, Alignment, Stretch, align, conclude, limits, pieces
 from estimators.errors import EstimationError, SampleError
 from estimators.native import loaded, passed
-from estimators.navigator.aids import UP
+from estimators.navigator.aids import UP, Z_BASELINE, Z_FIELD, Z_PLACE, Z_VELOCITY
 from estimators.navigator.covariance import clear
 from estimators.navigator.history import History
 from estimators.navigator.layout import (
@@ -86,6 +86,13 @@ class Navigator:
         self._stretch = Stretch.make()
         self._carry: Carry | None = None
 
+    @property
+    def measurements(self) -> dict[str, slice]:
+        """The columns of its innovations by the names of what is measured, as those of the other navigators."""
+        places = {"gnss.vel_n": (Z_VELOCITY, 3), "gnss.place_n": (Z_PLACE, 3), "field.mag_b": (Z_FIELD, 3)}
+        places["baseline.heading"] = Z_BASELINE, 1
+        return {name: slice(first, first + rows) for name, (first, rows) in places.items()}
+
     def process(self, samples: Samples, work: Work | None = None) -> Estimates:
         """One row of estimates for each row of samples; `work` takes notes for a smoother.
 
@@ -98,6 +105,15 @@ class Navigator:
         self._check_stamps(rows.t, last)
         out = blank(Estimates, len(rows.t))
         out["t"][:] = rows.t
+        for first, end, anew in pieces(rows.t, last):
+            if anew:
+                self.reset()
+            part = slice(first, end)
+            self._process(samples[part], Rows(*(c[part] for c in rows)), {k: c[part] for k, c in out.items()}, work)
+        return Estimates(**out)
+
+    def _process(self, samples: Samples, rows: Rows, out: dict[str, np.ndarray], work: Work | None) -> None:
+        """Estimate rows without a long gap into estimates."""
         done = 0
         if self._carry is None:
             wait = self.settings["align_s"], self.settings["wait_s"]
@@ -108,8 +124,8 @@ class Navigator:
                 alignment = conclude(self._stretch, self._stretch.phase == STILL, self.site, self.sensors)
                 self._carry = start(self._model, self.settings, self.site, self.sensors, alignment)
         if done < len(rows.t):
+            assert self._carry is not None
             run(self._model, self._carry, work or self._work, rows, Answers(**out), done)
-        return Estimates(**out)
 
     def _check_stamps(self, t: np.ndarray, last: float) -> None:
         before = np.fmax.accumulate(np.concatenate([[last], t]))[:-1]

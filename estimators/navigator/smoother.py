@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from estimators.alignment import pieces
 from estimators.earth import move as moved
 from estimators.jit import njit
 from estimators.navigator.layout import (
@@ -245,6 +246,12 @@ def smooth(navigator: Navigator, samples: Samples) -> Estimates:
     Raises:
         SampleError: as `Navigator.process`.
     """
+    parts = [_smooth(navigator, samples[first:end]) for first, end, _ in pieces(samples.t, math.nan)]
+    return Estimates.concatenate(parts)
+
+
+def _smooth(navigator: Navigator, samples: Samples) -> Estimates:
+    """Smooth a recording without a gap after which the navigator aligns anew."""
     navigator.reset()
     states = []
     for first in range(0, len(samples), CHUNK):

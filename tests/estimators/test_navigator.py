@@ -238,3 +238,25 @@ def navigator_state(samples):
     estimator = navigator()
     estimator.process(samples)
     return estimator._carry
+
+
+def test_after_a_long_gap_it_aligns_anew_filtered_and_smoothed():
+    """As the other estimators do: what turned meanwhile is not known; the smoother bridges no gap either."""
+    samples, q, _ = turning(turn_s=100.0)
+    n = len(samples)
+    keep = np.r_[0:5000, 9000 : min(n, 12500)]  # forty seconds are missing
+    cut = Samples(**{f.name: getattr(samples, f.name)[keep] for f in dataclasses.fields(Samples)})
+    e = navigator(align_s=5.0).process(cut)
+    known = np.isfinite(e.q_nb).all(axis=1)
+    assert not known[5000:5400].any()
+    assert known[5600:].all()
+    assert (e.status[5000:5400] == Status.ALIGNING).all()
+    assert tilt(e, q[keep], np.arange(len(keep)) > 7000) < 2.0
+    other, parts = navigator(align_s=5.0), []
+    for first in range(0, len(cut), 777):  # blocks end where they may
+        parts.append(other.process(cut[first : first + 777]))
+    np.testing.assert_array_equal(Estimates.concatenate(parts).q_nb, e.q_nb)
+    smoothed = smooth(navigator(align_s=5.0), cut)
+    alone = smooth(navigator(align_s=5.0), cut[:5000])
+    np.testing.assert_array_equal(smoothed.q_nb[:5000], alone.q_nb)
+    assert tilt(smoothed, q[keep], np.arange(len(keep)) > 5600) < tilt(e, q[keep], np.arange(len(keep)) > 5600)
