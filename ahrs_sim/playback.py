@@ -30,6 +30,7 @@ from ahrs_sim.sensors.records import SuiteBlock, within
 from estimators.types import Estimates, SensorInfo, Site, blank
 
 if TYPE_CHECKING:
+    from ahrs_sim.recordings.outcome import Outcome
     from ahrs_sim.smoothing import Smoothing
 
 SCENARIO = "scenario.toml"
@@ -152,8 +153,8 @@ def replay(
             metadata={"replay": bag.metadata},
             recorded=[name for name in bag.recorded if name not in {c.name for c in bag.estimators}],
         )
-        _run(recording, output, prefixes, force, progress, live, smooth)
-        return bag.notes + bag.counted()
+        outcome = _run(recording, output, prefixes, force, progress, live, smooth)
+        return bag.notes + bag.counted() + outcome.lines()
 
 
 def _cut(recording: Recording, skip: float, until: float) -> Recording:
@@ -181,26 +182,25 @@ def accuracy(
 
 
 def unknown(output: Path, result: Mapping[str, Any]) -> list[str]:
-    """Say why figures of a log made by `replay` are missing, a line each."""
-    lines = []
+    """Say why figures of a log made by `replay` are missing, a line each; `Outcome` does where there is no attitude."""
     rows = result["estimators"]
     silent = [name for name, values in rows.items() if values["tilt_rmse_deg"] is None]
-    lines += [
-        f"{name}: no heading in its estimates, or none in the reference"
-        for name, values in rows.items()
-        if values["heading_rmse_deg"] is None and name not in silent
-    ]
+    lines = []
+    for name, values in rows.items():
+        if name in silent:
+            continue
+        if values["heading_rmse_deg"] is None:
+            lines.append(f"{name}: no heading in its estimates, or none in the reference")
+        elif values.get("nees") is None:
+            lines.append(f"{name}: no NEES: it states no covariance")
     if not silent:
         return lines
     with FlightReader(output) as log:
-        for name in silent:
-            estimates = log.estimates(name)
-            seconds = float(estimates.t[-1] - estimates.t[0]) if len(estimates) else 0.0
-            if np.isfinite(estimates.down_b).any():
-                why = "none of its attitudes is within the time of the reference"
-            else:
-                why = f"no attitude: never aligned in {seconds:.0f} s; it takes align_s of standing, or motion for 5 s"
-            lines.append(f"{name}: {why}")
+        lines += [
+            f"{name}: none of its attitudes is within the time of the reference"
+            for name in silent
+            if np.isfinite(log.estimates(name).down_b).any()
+        ]
     return lines
 
 
@@ -307,10 +307,13 @@ def _run(
     progress: Callable[[float, float | None], None],
     live: Listener | None,
     smooth: bool,
-) -> None:
+) -> "Outcome":
+    from ahrs_sim.recordings.outcome import Outcome  # loads the alignment's kernels
+
     chains = recorded_chains(recording.estimators, recording.site, recording.sensors)
     names = [*(c.name for c in recording.estimators), *recording.recorded]
     smoothing = _smoothing(chains) if smooth else None
+    outcome = Outcome(chains)
     with LogWriter(output, epoch_ns=recording.epoch_ns, force=force, listener=live) as writer:
         passing = _CarryOver(recording, writer, prefixes)
         topics = EstimateTopics(writer, recording.epoch_ns, names)
@@ -331,6 +334,7 @@ def _run(
                 samples = chains[suite].assemble(block)
                 for name, estimates in chains[suite].estimate(samples):
                     topics.write(name, estimates)
+                    outcome.add(name, estimates)
                 if smoothing:
                     smoothing.keep(suite, samples)
                 if len(samples):
@@ -343,6 +347,7 @@ def _run(
         passing.rest()
     if failed := plugins.failures(e for chain in chains.values() for e in chain.estimators.values()):
         raise FlightError(f"{failed}; the log is complete: {output}")
+    return outcome
 
 
 def _smoothing(chains: dict[str, Chain]) -> "Smoothing":

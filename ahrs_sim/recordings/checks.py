@@ -5,18 +5,20 @@ third comes near. Where motion is too little to tell, nothing is said.
 """
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 
 import numpy as np
 
+import estimators as library
 from ahrs_sim.attitude import interpolate
 from ahrs_sim.evaluation.sync import rates
 from ahrs_sim.recordings import frames, inertial
 from ahrs_sim.recordings.calibration import Turns, turns
 from ahrs_sim.recordings.inertial import Track
 from ahrs_sim.recordings.survey import BIN_S, Survey
+from ahrs_sim.scenario import Component
 from ahrs_sim.world import magnetic
 from ahrs_sim.world.gravity import STANDARD as G
 
@@ -27,6 +29,7 @@ _MISFIT = 1.0  # m/s: IMU and GNSS velocity agree to less than this
 _DIP = math.radians(20.0)
 _COURSE = math.radians(8.0)
 _TURN_BINS = 5
+_AIDS = {"gnss": "GNSS velocity", "airspeed": "airspeed"}
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,28 @@ def missing(chosen: Collection[str], s: Survey) -> list[str]:
         found.append("positions without a velocity: no GNSS aid for estimators; [topics] velocity names its topic")
     if not {"mag", "heading", "velocity"} & set(chosen):
         found.append("nothing in it measures heading: its error is that of the start; --align heading takes it out")
+    return found
+
+
+def unaided(components: Iterable[Component], chosen: Collection[str]) -> list[str]:
+    """Lines on estimators that take an aid which is not among the kinds chosen."""
+    methods = {m.name: m for m in library.describe() if m.own}
+    there = {"gnss": "velocity" in chosen, "airspeed": bool({"air", "diff_pressure"} & set(chosen))}
+    found = []
+    for component in components:
+        method = methods.get(str(component.settings["method"]))
+        if method is None:
+            continue
+        stated = method.settings.get("aiding")
+        aiding = str(component.settings.get("aiding", stated.default if stated else method.aiding))
+        lacks = " and ".join(_AIDS[word] for word, has in there.items() if word in aiding and not has)
+        if lacks:
+            found.append(
+                f"{component.name} is aided by {lacks}, which is not in this recording: "
+                "its attitude drifts, or is wrong while something accelerates it"
+            )
+        if there["gnss"] and "gnss" not in aiding and not {"mag", "heading"} & set(chosen):
+            found.append(f"{component.name} has nothing that measures heading: its error is that of the start")
     return found
 
 

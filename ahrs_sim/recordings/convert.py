@@ -16,6 +16,7 @@ import numpy as np
 
 from ahrs_sim.log.mcap.reader import stamps, vector
 from ahrs_sim.recordings import frames
+from ahrs_sim.recordings.clocks import OTHER_CLOCK_NS, Clocks
 from ahrs_sim.recordings.mapping import Choice, Map
 from ahrs_sim.sensors import air_data
 from ahrs_sim.sensors.records import (
@@ -30,14 +31,11 @@ from ahrs_sim.sensors.records import (
     SuiteBlock,
     VelocityRecord,
 )
-from estimators.estimator import LONGEST_GAP
+from estimators.alignment import LONGEST_GAP
 from estimators.types import blank
 
 HOLD_NS = 10**9
 """How much later than the newest a message may be and still be put in its place."""
-
-OTHER_CLOCK_NS = 10 * 10**9
-"""Stamps further from the log's clock than this belong to another one."""
 
 RECORDED = "recorded "
 """What the kind of an attitude begins with that the vehicle itself estimated; the estimator's name follows."""
@@ -49,7 +47,10 @@ SAME_NS = 10**7
 """Position and velocity this close in time are of one solution."""
 
 GAP = 5.0
-"""Median intervals of the IMU from which on a pause is a gap."""
+"""Mean intervals of the IMU from which on a pause in which messages are missing is a gap."""
+
+_AROUND_NS, _GROUP = 10**9, 100
+"""Before and after a pause, ns: messages are counted there. Messages of which the mean interval is taken."""
 
 BRIDGED_NS = 2 * 10**7
 """How far away a force may have been measured that stands in for one that is missing."""
@@ -88,6 +89,7 @@ class Converter:
         calibration: see there.
         epoch_ns: zero of the records' times, ns since 1970.
         height: m, of fixes before the first one that has a height.
+        clocks: what is to be taken off the stamps; none: nothing.
     """
 
     def __init__(
@@ -97,17 +99,17 @@ class Converter:
         calibration: Calibration,
         epoch_ns: int,
         height: float = 0.0,
+        clocks: Clocks | None = None,
     ) -> None:
         self.chosen, self.mapping, self.calibration, self.epoch_ns = chosen, mapping, calibration, epoch_ns
         self.counts: Counter[str] = Counter()
-        self.log_times = mapping.stamps == "log"
-        self._decided = mapping.stamps is not None
-        self.offsets: dict[str, int] = {}  # ns by kind: whole seconds that its clock is ahead of the log's
-        self._queues = {k: _Queue(_RECORDS.get(k, AttitudeRecord), k, self.counts) for k in chosen if k != "accel"}
+        self._clocks = clocks or Clocks(by_log=mapping.stamps == "log")
+        kinds = [k for k in chosen if k != "accel"]
+        kinds += ["air"] if "diff_pressure" in chosen and "air" not in chosen else []
+        in_order = not self._clocks.hold_ns
+        self._queues = {k: _Queue(_RECORDS.get(k, AttitudeRecord), k, self.counts, in_order) for k in kinds}
         self._gyro: np.ndarray | None = None  # messages whose acceleration has not come yet
         self._force = (np.empty(0, np.int64), np.empty((0, 3)))  # ns, in the axes of the gyro's messages
-        if "diff_pressure" in chosen and "air" not in chosen:
-            self._queues["air"] = _Queue(AirRecord, "air", self.counts)
         self._static = (np.empty(0, np.int64), np.empty(0))  # ns, Pa: static pressure so far
         self._height = float(mapping.place.get("altitude_m", height))
         self._newest = np.iinfo(np.int64).min  # ns, latest stamp of the IMU
@@ -127,7 +129,7 @@ class Converter:
         """Blocks of records by kind, in the order of their stamps, `arrival_ns` being the stamp."""
         for block in blocks:
             self._take(block)
-            if block_records := self._release(self._newest - HOLD_NS):
+            if block_records := self._release(self._newest - HOLD_NS - self._clocks.hold_ns):
                 yield block_records
         if rest := self._release(np.iinfo(np.int64).max):
             yield rest
@@ -151,12 +153,9 @@ class Converter:
             array = arrays[kind]
             if not len(array):
                 continue
-            ns = self._stamps(kind, array)
+            ns, good = self._stamps(kind, array)
             make = self._reference if kind.startswith(RECORDED) else self._makers[kind]
             columns = make(array, self.chosen[kind])
-            shift = abs(self.mapping.shifts.get(kind, 0))
-            good = np.abs(ns - (array["log_time"] - self.epoch_ns)) < OTHER_CLOCK_NS + shift
-            self.counts[f"{kind}: stamps of another clock"] += int(np.sum(~good))
             if kind == "imu":
                 known = np.isfinite(columns["gyro_b"]).all(axis=1)
                 self.counts["imu: without rates, left out"] += int(np.sum(~known & good))
@@ -172,31 +171,30 @@ class Converter:
         made["stamp_ns"] = made["arrival_ns"] = ns
         self._queues[kind].add(record(**{k: v[good] for k, v in made.items()}))
 
-    def _stamps(self, kind: str, array: np.ndarray) -> np.ndarray:
-        """Times of messages (n,) ns from the epoch, shifted as the map says."""
-        header = stamps(array)
-        if not self._decided:  # by the first messages: a board without clock stamps from its boot
-            self._decided = True
-            self.log_times = abs(float(np.median(header - array["log_time"]))) > OTHER_CLOCK_NS
-        if self.log_times:
-            times: np.ndarray = array["log_time"]
-        else:
-            if kind not in self.offsets:  # by its first messages: GPS time for UTC, a board set to another hour
-                told = self.mapping.stamps is not None or self.mapping.shifts.get(kind, 0)
-                off = 0.0 if told else float(np.median(header - array["log_time"]))
-                self.offsets[kind] = round(off / 1e9) * 10**9 if abs(off) > OTHER_CLOCK_NS else 0
-            times = header - self.offsets[kind]
-        return times - self.epoch_ns + self.mapping.shifts.get(kind, 0)
+    def _stamps(self, kind: str, array: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Times of messages (n,) ns from the epoch, shifted as the map says, and which of them can be."""
+        header, clock = stamps(array), self._clocks.of(kind)
+        by_header, by_log = clock.times(header, array["log_time"])
+        shift = self.mapping.shifts.get(kind, 0)
+        good = np.ones(len(array), bool)
+        if not (self._clocks.by_log or clock.unset):
+            good = (header != 0) | (array["log_time"] == 0)
+            self.counts[f"{kind}: without a stamp, left out"] += int(np.sum(~good))
+        if not (self._clocks.by_log or self._clocks.apart):
+            near = np.abs(by_header + shift - by_log) < OTHER_CLOCK_NS + abs(shift)
+            self.counts[f"{kind}: stamps of another clock"] += int(np.sum(~near & good))
+            good &= near
+        return (by_log if self._clocks.by_log else by_header) - self.epoch_ns + shift, good
 
     def _joined(self, gyro: np.ndarray, accel: np.ndarray) -> np.ndarray:
         """Messages of the gyro with the acceleration of their time, of an accelerometer with a topic of its own."""
         turn = frames.to_frd(self.chosen["imu"].body).T @ frames.to_frd(self.chosen["accel"].body)
-        ns = np.r_[self._force[0], self._stamps("accel", accel)]
+        ns = np.r_[self._force[0], self._stamps("accel", accel)[0]]
         force = np.concatenate([self._force[1], vector(accel["linear_acceleration"]) @ turn.T])
         order = np.argsort(ns, kind="stable")
         ns, force = ns[order], force[order]
         gyro = gyro if self._gyro is None else np.concatenate([self._gyro, gyro])
-        t = self._stamps("imu", gyro)
+        t = self._stamps("imu", gyro)[0]
         ready = t <= (ns[-1] if len(ns) else np.iinfo(np.int64).min)
         self._gyro, gyro, t = gyro[~ready], gyro[ready], t[ready]
         self._force = ns, force
@@ -271,14 +269,14 @@ class Converter:
         return {"heading": np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))}
 
     def _static_pressure(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
-        order = np.argsort(ns := self._stamps("static_pressure", array), kind="stable")
+        order = np.argsort(ns := self._stamps("static_pressure", array)[0], kind="stable")
         self._static = ns[order], array["fluid_pressure"][order]
         return {"pressure": array["fluid_pressure"]}
 
     def _diff_pressure(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
         pressure = array["fluid_pressure"]
         if "air" not in self.chosen:
-            ns = self._stamps("diff_pressure", array)
+            ns, _ = self._stamps("diff_pressure", array)
             indicated, true = (self.mapping.air_scale * speed for speed in self._airspeed(ns, pressure))
             self._put("air", ns, {"indicated_airspeed": indicated, "airspeed": true}, np.isfinite(true))
         return {"pressure": pressure}
@@ -334,20 +332,21 @@ def field(array: np.ndarray) -> np.ndarray:
 class _Queue:
     """Records of one kind until they are old enough to be put in order."""
 
-    def __init__(self, cls: type[Record], kind: str, counts: Counter[str]) -> None:
-        self._kind, self._counts = kind, counts
+    def __init__(self, cls: type[Record], kind: str, counts: Counter[str], in_order: bool) -> None:
+        self._kind, self._counts, self._in_order = kind, counts, in_order
         self._held: Any = cls(**blank(cls, 0))
         self._last = np.iinfo(np.int64).min  # ns, stamp of the last released
         self._floor = np.iinfo(np.int64).min  # ns, up to where the IMU has been released
         self._newest = np.iinfo(np.int64).min
-        self._interval = math.nan  # ns, median of the first block
+        self._interval = math.nan  # ns, mean of the first block
 
     def add(self, records: Any) -> None:
         ns = records.stamp_ns
         if not len(ns):
             return
         before = np.maximum.accumulate(np.r_[self._newest, ns])[:-1]
-        self._counts[f"{self._kind}: out of order"] += int(np.sum(ns < before))
+        if self._in_order:  # else the log's clock was set back
+            self._counts[f"{self._kind}: out of order"] += int(np.sum(ns < before))
         self._newest = max(self._newest, int(ns.max()))
         self._held = type(records).concatenate([self._held, records]) if len(self._held) else records
 
@@ -371,19 +370,26 @@ class _Queue:
         taken = _picked(taken, np.flatnonzero(~late & ~twice))
         ns = taken.stamp_ns
         if len(ns):
-            self._gaps(np.diff(np.r_[self._last, ns]) if self._last > np.iinfo(np.int64).min else np.diff(ns))
+            self._gaps(np.r_[self._last, ns] if self._last > np.iinfo(np.int64).min else ns)
             self._last = int(ns[-1])
         # What belongs to rows of the IMU that are gone arrives with the next.
         taken = dataclasses.replace(taken, arrival_ns=np.maximum(taken.arrival_ns, self._floor))
         self._floor = max(self._floor, imu) if imu < np.iinfo(np.int64).max else self._floor
         return taken
 
-    def _gaps(self, steps: np.ndarray) -> None:
-        if self._kind != "imu" or not len(steps):
+    def _gaps(self, ns: np.ndarray) -> None:
+        """Count pauses in which messages are missing: where they come in bursts, as many as ever follow at once."""
+        if self._kind != "imu" or len(ns) < 2:
             return
         if math.isnan(self._interval):
-            self._interval = float(np.median(steps))
-        self._counts["imu: gaps"] += int(np.sum(steps > GAP * self._interval))
+            n = min(_GROUP, len(ns) - 1)
+            self._interval = max(float(np.median(ns[n:] - ns[:-n])) / n, 1.0)
+        steps = np.diff(ns)
+        for k in np.flatnonzero(steps > GAP * self._interval):
+            low, high = np.searchsorted(ns, [ns[k] - _AROUND_NS, ns[k + 1] + _AROUND_NS])
+            high = min(high, len(ns) - 1)
+            lost = float(ns[high] - ns[low]) / self._interval - float(high - low)
+            self._counts["imu: gaps"] += lost > 0.5 * steps[k] / self._interval
         self._counts["imu: gaps after which estimators align anew"] += int(np.sum(steps > 1e9 * LONGEST_GAP))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import estimators as library
 from ahrs_sim.errors import InputError
 from ahrs_sim.recordings import calibration as calibrating
-from ahrs_sim.recordings import checks, frames, inertial, mapping, presets, survey
+from ahrs_sim.recordings import checks, clocks, frames, inertial, mapping, presets, survey
 from ahrs_sim.recordings.convert import RECORDED, Calibration, Converter
 from ahrs_sim.recordings.installation import Installation, find
 from ahrs_sim.recordings.mapping import SUITE, Choice, Map
@@ -76,7 +76,7 @@ class Bag:
         """Records by suite, in order; once."""
         topics = [c.topic.name for c in self.converter.chosen.values()]
         for block in self.converter.records(self.source.blocks(topics)):
-            yield {SUITE: within(block, 1e9 * self.span[0], 1e9 * self.span[1])}
+            yield {SUITE: within(block, *_nanoseconds(self.span))}
 
     def counted(self) -> list[str]:
         """What was wrong with the messages, after the last block."""
@@ -140,7 +140,7 @@ def _opened(
     span: tuple[float, float],
     gate: Gate,
 ) -> Bag:
-    chosen, seen, notes = _looked(source, map_, span)
+    chosen, seen, clock, notes = _looked(source, map_, span)
     place = _place(seen, map_)
     model = _field(place, source, map_, notes)
     norm = float(np.linalg.norm(model)) if model is not None else None
@@ -180,6 +180,9 @@ def _opened(
         told["mag_bias"] = math.hypot(SensorInfo().mag_bias, left)
     sensors = SensorInfo(**{**told, **map_.sensors})
     components = _estimators(map_, names, chosen, str(source.path), gate)
+    if names or map_.estimators:
+        notes += [f"check: {line}" for line in checks.unaided(components, chosen)]
+    components = _soon_aligned(components, seen, notes)
     metadata = {
         "source": source.path.name,
         **{f"topic {k}": f"{c.topic.name} {c.body} {c.world}" for k, c in chosen.items()},
@@ -191,7 +194,7 @@ def _opened(
         site=site,
         sensors=sensors,
         estimators=components,
-        converter=Converter(chosen, map_, calibration, source.epoch_ns, _first_height(source, chosen)),
+        converter=Converter(chosen, map_, calibration, source.epoch_ns, _first_height(source, chosen), clock),
         metadata=metadata,
         notes=notes,
         span=span,
@@ -202,31 +205,31 @@ def _opened(
     )
 
 
-def _looked(source: Source, map_: Map, span: tuple[float, float]) -> tuple[dict[str, Choice], survey.Survey, list[str]]:
-    """Topics by kind, a look at all of their messages within a span (s), and what there is to say of that."""
+def _looked(
+    source: Source, map_: Map, span: tuple[float, float]
+) -> tuple[dict[str, Choice], survey.Survey, clocks.Clocks, list[str]]:
+    """Topics by kind, a look at all of their messages within a span (s), their clocks, and what to say of that."""
     path = source.path
     passed: list[str] = []
     chosen = mapping.choose(source, map_, passed)
     chosen |= _recorded(source, chosen.get("reference"))
     topics = [c.topic.name for c in chosen.values()]
     nothing = Calibration(np.zeros(3), np.eye(3), map_.gyro_bias)
-    first = Converter(chosen, map_, nothing, source.epoch_ns, _first_height(source, chosen))
-    seen = survey.look(
-        within(block, 1e9 * span[0], 1e9 * span[1]) for block in _magnetometer_as_is(first, source, topics)
-    )
+    clock = clocks.examine(source, chosen, map_.stamps, {k for k, shift in map_.shifts.items() if shift}, span)
+    first = Converter(chosen, map_, nothing, source.epoch_ns, _first_height(source, chosen), clock)
+    seen = survey.look(within(b, *_nanoseconds(span)) for b in _magnetometer_as_is(first, source, topics))
     if not len(seen.t) and (span[0] > 0.0 or span[1] < math.inf):
         raise InputError(f"{path}: --skip/--until: no message of {chosen['imu'].topic.name} is left")
     if not len(seen.t):
         raise InputError(f"{path}: {chosen['imu'].topic.name} has no usable message; check stamps and [time] stamps")
     notes = [*mapping.described(chosen, source.duration), *passed, *source.notes]
-    notes += [
-        f"check: {kind}: its stamps are {offset * 1e-9:+.0f} s off the log's clock (GPS time for UTC: 18 s): taken back"
-        for kind, offset in first.offsets.items()
-        if offset
-    ]
-    if first.log_times and map_.stamps is None:
-        notes.append("header stamps are of another clock: times of the log are used ([time] stamps)")
-    return chosen, seen, notes
+    notes += clock.notes
+    return chosen, seen, clock, notes
+
+
+def _nanoseconds(span: tuple[float, float]) -> tuple[float, float]:
+    """Of a span (s), from the very first message where it begins at 0: that was stamped before it was logged."""
+    return 1e9 * span[0] if span[0] > 0.0 else -math.inf, 1e9 * span[1]
 
 
 def _first_height(source: Source, chosen: Mapping[str, Choice]) -> float:
@@ -386,6 +389,22 @@ def _estimators(
         plain = short_name(method)
         found[plain] = ours.get(name) or estimator_component(plain, {"method": method, "suite": SUITE}, where, gate)
     return tuple(found.values())
+
+
+def _soon_aligned(components: Sequence[Component], seen: survey.Survey, notes: list[str]) -> tuple[Component, ...]:
+    """The estimators, with a shorter alignment where the recording would be over before it is."""
+    seconds = float(seen.t[-1] - seen.t[0])
+    methods = {m.name: m.settings.get("align_s") for m in library.describe() if m.own}
+    made = []
+    for c in components:
+        setting = methods.get(str(c.settings["method"]))
+        short = max(1.0, math.floor(seconds / 3.0))
+        if setting is not None and "align_s" not in c.settings and float(setting.default) > seconds - 1.0:
+            notes.append(f"{c.name}: align_s = {short:g}: the recording has no more than {seconds:.1f} s")
+            made.append(dataclasses.replace(c, settings={**c.settings, "align_s": short}))
+        else:
+            made.append(c)
+    return tuple(made)
 
 
 def _vector(values: np.ndarray) -> str:

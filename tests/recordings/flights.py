@@ -136,11 +136,11 @@ def measured(
     ta = np.arange(round(duration * 10)) / 10 + 0.007
     airspeed = path.air(ta - planted.air_delay)[1] / planted.air_scale + noise * rng.normal(0, 0.3, len(ta))
     return {
-        "imu": _records(ImuRecord, t, gyro_b=gyro @ planted.gyro.T, accel_b=accel @ planted.accel.T),
-        "mag": _records(MagRecord, t, mag_b=mag),
-        "velocity": _records(VelocityRecord, tg, vel_n=velocity),
-        "fix": _records(FixRecord, tg, lla_deg=lla),
-        "air": _records(AirRecord, ta, airspeed=airspeed),
+        "imu": records(ImuRecord, t, gyro_b=gyro @ planted.gyro.T, accel_b=accel @ planted.accel.T),
+        "mag": records(MagRecord, t, mag_b=mag),
+        "velocity": records(VelocityRecord, tg, vel_n=velocity),
+        "fix": records(FixRecord, tg, lla_deg=lla),
+        "air": records(AirRecord, ta, airspeed=airspeed),
     }
 
 
@@ -155,7 +155,7 @@ def _wander(rng: np.random.Generator, t: np.ndarray, sigma: float, seconds: floa
     return out
 
 
-def _records(cls: Any, t: np.ndarray, **columns: np.ndarray) -> Any:
+def records(cls: Any, t: np.ndarray, **columns: np.ndarray) -> Any:
     made = blank(cls, len(t))
     made.update(columns)
     made["stamp_ns"] = made["arrival_ns"] = np.rint(t * 1e9).astype(np.int64)

@@ -217,6 +217,34 @@ def test_compare_takes_out_delay_and_rotation(tmp_path: Path, capsys: pytest.Cap
     assert "has no orientation" in capsys.readouterr().err
 
 
+def unexplained(out: str) -> list[str]:
+    """Rows of the table with a dash of which no line says why."""
+    lines = out.splitlines()
+    head = next(i for i, line in enumerate(lines) if line.startswith("RMS error against"))
+    rows = [line.split() for line in lines[head + 2 :] if re.search(r" -( |$)", line)]
+    assert rows
+    return [row[0] for row in rows if not any(re.match(rf"{re.escape(row[0])}: no \w+", line) for line in lines)]
+
+
+def test_every_dash_comes_with_its_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """No heading, no covariance, no attitude within the reference's time, none at all."""
+    bag = tmp_path / "a.mcap"
+    write_bag(bag, motion(30.0, still=10.0), with_place=False)
+    methods = [x for m in ("marg-ekf", "sekf", "bag_helpers:Triad") for x in ("--estimator", m)]
+    assert main(["replay", str(bag), *methods]) == 0
+    out = capsys.readouterr().out
+    assert unexplained(out) == []
+    assert re.search(r"^sekf: no heading", out, re.MULTILINE)
+    assert re.search(r"^bag_helpers-Triad: no NEES: it states no covariance", out, re.MULTILINE)
+    m = motion(30.0, still=10.0)
+    rows = m.t >= 25.7  # turns all the time, and is over before that is an alignment
+    write_bag(bag, type(m)(*(column[rows] for column in m))._replace(t=m.t[rows] - 25.7), with_place=False)
+    assert main(["replay", str(bag), "--estimator", "marg-ekf", "--estimator", "sekf"]) == 0
+    out = capsys.readouterr().out
+    assert unexplained(out) == []
+    assert out.count("no attitude: never aligned in 4 s") == 2
+
+
 def test_other_formats_leave_their_measurements(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_ulog(tmp_path / "a.ulg", motion(30.0))
     out = tmp_path / "out.mcap"

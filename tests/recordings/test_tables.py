@@ -296,15 +296,24 @@ def mt_manager(folder: Path, m: Motion) -> Path:
 
 
 def control_center(folder: Path, m: Motion) -> Path:
+    """The header as VectorNav's own exporter writes it: time, imu, gnss, attitude and ins groups."""
     from ahrs_sim.attitude import euler
 
-    angles = np.degrees(euler(m.q_nb))
-    columns = {"TimeStartup": np.rint(m.t * 1e9).astype(np.int64) + 7, "Yaw": angles[:, 2], "Pitch": angles[:, 1],
-               "Roll": angles[:, 0], **xyz("Gyro{}", m.gyro_b), **xyz("Accel{}", m.accel_b),
-               **xyz("Mag{}", m.mag_b * 1e4)}  # fmt: skip
-    write(
-        folder / "vn300.csv", {k.replace("x", "X").replace("y", "Y") if "o" in k else k: v for k, v in columns.items()}
-    )
+    def named(names: str, values: np.ndarray) -> dict[str, np.ndarray]:
+        return dict(zip(names.split(","), values.T, strict=True))
+
+    place = np.tile(LLA, (len(m.t), 1))
+    columns = {
+        "TimeStartup": np.rint(m.t * 1e9).astype(np.int64) + 7,
+        **named("MagX,MagY,MagZ", m.mag_b * 1e4),
+        **named("AccelX,AccelY,AccelZ", m.accel_b),
+        **named("GyroX,GyroY,GyroZ", m.gyro_b),
+        **named("Gnss1Lat,Gnss1Lon,Gnss1Alt", place),
+        **named("Gnss1VelN,Gnss1VelE,Gnss1VelD", np.zeros((len(m.t), 3))),
+        **named("Yaw,Pitch,Roll", np.degrees(euler(m.q_nb))[:, ::-1]),
+        **named("PosLat,PosLon,PosAlt", place + 1.0),  # of its filter: not what is wanted
+    }
+    write(folder / "vn300.csv", columns)
     return folder / "vn300.csv"
 
 

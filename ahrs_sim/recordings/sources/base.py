@@ -65,6 +65,7 @@ class Source(Protocol):
     form: str  # what it is, for the user
     notes: list[str]  # what was left out, and why
     recorded: Mapping[str, str]  # topic by name, of the attitudes that the vehicle itself estimated
+    one_clock: bool  # the times of headers are those of the log
 
     def topics(self) -> list[Topic]:
         """All topics that can be read."""
@@ -136,6 +137,7 @@ class Held:
     """A recording that fits into memory: columns by topic, laid out as messages portion by portion."""
 
     form = ""
+    one_clock = True
 
     def __init__(self, path: Path, topics: Mapping[str, Columns], recorded: Mapping[str, str] | None = None) -> None:
         self.path = path

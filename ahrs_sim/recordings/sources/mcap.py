@@ -24,6 +24,7 @@ class Mcap:
     """A recording in MCAP."""
 
     form = "MCAP"
+    one_clock = False
     recorded: Mapping[str, str] = {}
 
     def __init__(self, path: Path) -> None:

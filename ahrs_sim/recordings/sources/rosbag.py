@@ -20,6 +20,7 @@ class Rosbag:
     """A bag of ROS 1 or 2."""
 
     recorded: Mapping[str, str] = {}
+    one_clock = False
 
     def __init__(self, path: Path, *, version: int) -> None:
         self.path = path
