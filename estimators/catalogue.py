@@ -118,11 +118,16 @@ _METHODS = (
     ),
     Method(
         "air-ins", "Inertial navigator in the air mass: airspeed as body velocity, magnetic heading", _OWN,
-        "", "ins", {"aiding": "airspeed", "accel_noise": 0.15, "heading_aid": False},
+        "", "ins",
+        {"aiding": "airspeed", "accel_noise": 0.15, "scale_share": 0.5, "turn_share": 0.0, "heading_aid": False},
     ),
     Method(
         "hand-ins", "Inertial navigator that stays where it is: hand-held, no velocity aid", _OWN,
-        "", "ins", {"aiding": "none", "mag_share": 6.0, "mag_sigma": 0.02, "field_period": 0.1, "scale_share": 0.4},
+        "", "ins",
+        {
+            "aiding": "none", "mag_share": 6.0, "mag_sigma": 0.02, "field_period": 0.1, "scale_share": 0.4,
+            "force_share": 0.0, "turn_share": 0.0, "shake_share": 0.0,
+        },
     ),
 )  # fmt: skip
 _CATALOGUE = {method.name: method for method in _METHODS}

@@ -20,11 +20,13 @@ Aids (`aids`, a file each):
     airspeed   C_bn (v - wind) = V (cos i, 0, sin i), i the incidence of cruise, wide across; without GNSS v itself is
                the velocity in the air mass
 
-Gyro noise grows with the rate, since what scale and misalignment leave behind is correlated over a manoeuvre, and with
-what is too fast for the sampling: after a hard landing the heading is open again. Accelerometer noise grows with the
-acceleration. Most of a fix's error wanders over a minute; so does the place that is estimated, which leaves the noise
-from fix to fix to the measurement. Field and baseline count once in a while, whatever their rates: errors of theirs are
-of the attitude and of the minute, not of the reading.
+Noise stands for what the model lacks, by the data sheet. What misalignment makes of a turn acts as a bias while it
+lasts: the biases of gyro and accelerometer become uncertain by that with each change of the mean rate and force of a
+second (`turn_share`). What is left of scale errors is noise that grows with rate and acceleration, and what is too
+fast for the sampling is noise by its own scatter, of the gyro (after a hard landing the heading is open again) and,
+bounded, of the accelerometer (vibration). Most of a fix's error wanders over a minute; so does the place that is
+estimated, which leaves the noise from fix to fix to the measurement. Field and baseline count once in a while,
+whatever their rates: errors of theirs are of the attitude and of the minute, not of the reading.
 """
 
 from estimators.models.ins.kernels import Inputs as Inputs

@@ -39,6 +39,10 @@ class Shared(Record):
     accel_psd: Number  # m2/s3
     accel_noise2: Number  # s, accel_psd + accel_noise2 |a|^2
     jerk_share: Number  # gyro_psd + jerk_share dt (variance between samples)
+    shake_share: Number  # accel_psd + shake_share dt (variance between samples), at most `shake_most`
+    shake_most: Number  # m2/s3
+    beside2: Annotated[np.ndarray, shaped(2)]  # squared misalignment of gyro and accelerometer
+    along2: Annotated[np.ndarray, shaped(2)]  # squared scale error that no state has
     walks: Annotated[np.ndarray, shaped(LARGEST - 9)]  # variance per second of the constants, and of the wind
     still_rate: Number  # rad/s, scatter of a still second
     still_force: Number  # m/s2
@@ -60,10 +64,13 @@ class Kept(Record):
     accel_b: Vector3  # m/s2, last good force
     step_b: Vector3  # rad/s, how much the gyro has changed at last
     jerky: Number  # (rad/s)^2, variance of the gyro between samples
+    shock_b: Vector3  # m/s2, how much the accelerometer has changed at last
+    shaky: Number  # (m/s2)^2, variance of the accelerometer between samples
     second_t: Number  # s, when the present second began
     count: Number  # samples in it
     mean: Annotated[np.ndarray, shaped(6)]  # of gyro and accelerometer in it
     spread: Annotated[np.ndarray, shaped(6)]  # sums of squared deviations
+    before: Annotated[np.ndarray, shaped(6)]  # mean of the second before
     is_still: Flag
     aid_t: Number  # s, when the velocity was last aided
     mag_t: Number  # s, when the field was last used
@@ -81,3 +88,4 @@ class Motion(Record):
     mag_b: Vector3  # T, field as read
     gyro_psd: Number  # rad2/s, noise of the step
     accel_psd: Number  # m2/s3
+    changed: Annotated[np.ndarray, shaped(6)]  # variances by which the biases have changed

@@ -44,10 +44,13 @@ def load(model: Shared, row: Sample, x: State, memory: Kept, u: Motion) -> None:
         rate2 += (u.rate_b[i] - x.gyro_bias[i]) ** 2
     u.gyro_psd = model.gyro_psd + model.rate_noise * rate2 + model.jerk_share * dt * memory.jerky
     u.accel_psd = model.accel_psd + model.accel_noise2 * acceleration2(model, x, u)
+    u.accel_psd += min(model.shake_share * dt * memory.shaky, model.shake_most)
+    for i in range(6):
+        u.changed[i] = 0.0
     if not good:
         u.gyro_psd += 0.01  # 0.1 rad/s/sqrt(Hz): whatever happens meanwhile
     if good:
-        watch_second(model, row, x, memory)
+        watch_second(model, row, x, memory, u)
 
 
 @inner
@@ -113,6 +116,8 @@ def process_noise(model: Shared, x: State, u: Motion, dt: float, P: np.ndarray) 
         P[P_ + i, P_ + i] += model.place_walk[i] * dt
     for i in range(9, model.states):
         P[i, i] += model.walks[i - 9] * dt
+    for i in range(6):  # bounded: rates that come and go bring the same bias again, not another on top
+        P[BG + i, BG + i] += max(min(u.changed[i], 40.0 * u.changed[i] - P[BG + i, BG + i]), 0.0)
 
 
 def retract(model: Shared, x: State, dx: np.ndarray, out: State) -> None:

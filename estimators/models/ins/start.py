@@ -21,12 +21,16 @@ SETTINGS = {
     "aiding": Setting("gnss", "what keeps the velocity", ("none", "gnss", "airspeed", "gnss+airspeed")),
     "states": Setting("21", "15, or 21 with gyro scale and hard iron (and the wind with gnss+airspeed)", ("15", "21")),
     "gyro_noise": Setting(1e-3, "rad/s/sqrt(Hz), beside the data sheet's: vibration", minimum=0.0),
-    "scale_share": Setting(0.5, "of the gyro's scale error, left as noise that grows with the rate", minimum=0.0),
+    "scale_share": Setting(0.2, "of the gyro's scale error, left as noise that grows with the rate", minimum=0.0),
     "scale_time": Setting(5.0, "s, how long a rate lasts: correlation of that noise", above=0.0),
     "accel_noise": Setting(0.05, "m/s2/sqrt(Hz), beside the data sheet's: vibration, turbulence", minimum=0.0),
     "accel_share": Setting(
-        0.014, "1/sqrt(Hz), additional accelerometer noise proportional to |a|: scale, lever arm", minimum=0.0
+        0.014, "1/sqrt(Hz), additional accelerometer noise proportional to |a|: lever arm", minimum=0.0
     ),
+    "force_share": Setting(0.5, "of the accelerometer's scale error, left as noise that grows with |a|", minimum=0.0),
+    "turn_share": Setting(0.5, "of misalignment, by which the biases change with rate and force", minimum=0.0),
+    "shake_share": Setting(2.0, "of the accelerometer's variance between samples, left as noise", minimum=0.0),
+    "shake_most": Setting(0.5, "m/s2/sqrt(Hz), the most of that", minimum=0.0),
     "jerk_share": Setting(2.0, "of the gyro's variance between samples, left as noise of one step", minimum=0.0),
     "bias_time": Setting(300.0, "s, correlation of the in-run biases", above=0.0),
     "speed_min": Setting(8.0, "m/s, below it the airspeed may be wind on the ground: not used", minimum=0.0),
@@ -34,6 +38,9 @@ SETTINGS = {
     **{name: setting for aid in AIDS for name, setting in aid.SETTINGS.items()},
     **adaptation.settings(),
 }
+
+UP_SHARE = np.array([1.0, 1.0, UP**2]) / np.mean([1.0, 1.0, UP**2])
+"""Of the data sheet's variance, which is the mean over the axes: north, east, down."""
 
 
 def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignment: Alignment) -> Start:
@@ -52,8 +59,8 @@ def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignmen
     x[7:10] = place if np.isfinite(place).all() else site.lla
     x[10:13] = alignment.gyro_bias
     memory: Any = Memory.nans()
-    memory.count = memory.jerky = 0.0
-    memory.step_b[:] = 0.0
+    memory.count = memory.jerky = memory.shaky = 0.0
+    memory.step_b[:] = memory.shock_b[:] = 0.0
     memory.good = True
     restart = np.array(initial)
     restart[PHI : PHI + 3], restart[V : V + 3] = 0.5, 10.0
@@ -118,7 +125,11 @@ def _parameters(
     gyro = sensors.gyro_noise**2 / 2.0  # single-sided density d: variance d^2/2 per second
     accel = sensors.accel_noise**2 / 2.0
     wind_in_velocity = settings["wind_walk"] ** 2 if use_air and not use_gnss else 0.0
-    wander = use_gnss * 2.0 * sensors.gnss_pos**2 / settings["position_time"]
+    place = use_gnss * sensors.gnss_pos**2 * UP_SHARE
+    wander = 2.0 / settings["position_time"] * place
+    turn = settings["turn_share"]
+    gyro_along = 0.0 if n > SG else sensors.gyro_scale_factor
+    force = 2.0 * settings["scale_time"] * (settings["force_share"] * sensors.accel_scale) ** 2
     still_rate, still_force = limits(sensors)
     unused = [0] * (GROUPS - len(groups))
     return Parameters.of(
@@ -130,13 +141,19 @@ def _parameters(
         gyro_psd=gyro + settings["gyro_noise"] ** 2 / 2.0,
         rate_noise=2.0 * settings["scale_time"] * (settings["scale_share"] * sensors.gyro_scale) ** 2,
         accel_psd=accel + settings["accel_noise"] ** 2 / 2.0 + wind_in_velocity,
-        accel_noise2=settings["accel_share"] ** 2 / 2.0,
+        accel_noise2=settings["accel_share"] ** 2 / 2.0 + force,
+        shake_share=settings["shake_share"],
+        shake_most=settings["shake_most"] ** 2 / 2.0,
+        # what the gyro's misalignment tilts in a turn goes for a bias of the accelerometer
+        beside2=(turn * np.array([sensors.gyro_misalignment, sensors.gyro_misalignment + sensors.accel_misalignment]))
+        ** 2,
+        along2=(turn * np.array([gyro_along, sensors.accel_scale_factor])) ** 2,
         jerk_share=settings["jerk_share"],
         walks=walks,
         still_rate=still_rate,
         still_force=still_force,
-        place_walk=1e-6 + wander * np.array([1.0, 1.0, UP**2]),
-        place_wander=sensors.gnss_pos**2 * np.array([1.0, 1.0, UP**2]),
+        place_walk=1e-6 + wander,
+        place_wander=place,
         speed_min=settings["speed_min"],
         report_place=use_gnss,
         start=[group.start for group in groups] + unused,

@@ -22,7 +22,7 @@ NAME = READS_AS = "field"
 ANGLE, REPORTED = True, True
 
 SETTINGS = {
-    "mag_share": Setting(1.7, "of the hard iron left over: noise of the field's direction", minimum=0.0),
+    "mag_share": Setting(2.0, "of the hard iron left over: noise of the field's direction", minimum=0.0),
     "mag_sigma": Setting(0.008, "rad, besides, of the direction of the field", above=0.0),
     "field_period": Setting(1.0, "s, from one use of the field to the next: errors between are the same", minimum=0.0),
     "norm_scale": Setting(0.05, "relative error of the field's norm that doubles the noise", above=0.0),

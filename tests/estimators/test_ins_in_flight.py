@@ -1,0 +1,86 @@
+"""Whether `ins21` knows how far off it is: attitude, velocity, place and biases in turns, with both grades."""
+
+import numpy as np
+import pytest
+
+from ahrs_sim import attitude, scenario
+from ahrs_sim.chain import Chain, site
+from ahrs_sim.evaluation import consistency
+from ahrs_sim.flight import open_flight
+from ahrs_sim.flight.truth import Truth
+from ahrs_sim.sensors import make_suite
+from ahrs_sim.sensors.records import ImuErrorsRecord
+from estimators import create
+from estimators.earth import apart
+from estimators.types import Samples
+
+START, END = 80.0, 330.0  # s: the climb, two minutes of turning each way
+SEEDS = (11, 12, 13)
+
+
+def flown(seed):
+    """Truth, and by suite its data sheet, samples and true errors."""
+    data = {k: v for k, v in scenario.load("turns").data.items() if k != "catalogue"} | {"estimator": {}}
+    known = scenario.parse(data, "turns", "turns", seed=seed, duration=END)
+    flight = open_flight(known)
+    place = site(flight.start_lla, known.epoch)
+    suites = {
+        c.name: make_suite(c, seed=seed, dt=flight.dt, epoch=known.epoch, start_lla=np.array(place.lla))
+        for c in known.suites
+    }
+    blocks = []
+    while len(block := flight.fly(10_000)):
+        blocks.append(block)
+    truth = Truth.concatenate(blocks)
+    found = {}
+    for name, suite in suites.items():
+        chain = Chain(suite, {})
+        records = chain.sense(truth)
+        found[name] = (suite.info, chain.assemble(records), records["imu_errors"])
+    return place, truth, found
+
+
+def at(t, times, values):
+    return np.column_stack([np.interp(t, times, column) for column in values.T])
+
+
+def nees(truth: Truth, errors: ImuErrorsRecord, samples: Samples, estimator) -> dict[str, float]:
+    """Mean NEES per degree of freedom."""
+    e = estimator.process(samples)
+    rows = np.flatnonzero((e.t >= START) & (e.t <= truth.t[-1]))[::10]
+    t, thin = e.t[rows], slice(None, None, 4)
+    q = attitude.interpolate(truth.t[thin], truth.q_nb[thin], t)
+    vel_n = at(t, truth.t[thin], truth.vel_n[thin])
+    lla, off = at(t, truth.t[thin], truth.lla[thin]), np.empty((len(t), 3))
+    for k in range(len(t)):
+        apart(e.lla[rows[k]], lla[k], off[k])
+    stamps = errors.stamp_ns * 1e-9
+    biases = {}
+    for name, key in (("gyro bias", "gyro"), ("accelerometer bias", "accel")):
+        true = at(t, stamps, getattr(errors, f"{key}_effective_bias"))
+        biases[name] = ((getattr(e, f"{key}_bias")[rows] - true) / getattr(e, f"{key}_bias_sigma")[rows]) ** 2
+    return {
+        "attitude": float(np.nanmean(consistency.attitude_nees(e.q_nb[rows], e.att_cov[rows], q))) / 3.0,
+        "velocity": float(np.nanmean(consistency.nees(e.vel_n[rows] - vel_n, e.vel_cov[rows]))) / 3.0,
+        "position": float(np.nanmean(consistency.nees(off, e.pos_cov[rows]))) / 3.0,
+        **{name: float(np.mean(values)) for name, values in biases.items()},
+    }
+
+
+@pytest.fixture(scope="module")
+def figures():
+    """NEES by suite and quantity, a row a seed."""
+    found: dict[str, list[dict[str, float]]] = {"chr": [], "sbg": []}
+    for seed in SEEDS:
+        place, truth, suites = flown(seed)
+        for name, rows in found.items():
+            info, samples, errors = suites[name]
+            rows.append(nees(truth, errors, samples, create("ins21", site=place, sensors=info, heading_aid=False)))
+    return found
+
+
+@pytest.mark.parametrize("suite", ["chr", "sbg"])
+@pytest.mark.parametrize("quantity", ["attitude", "velocity", "position", "gyro bias", "accelerometer bias"])
+def test_ins21_knows_how_far_off_it_is(figures, suite, quantity):
+    mean = float(np.mean([row[quantity] for row in figures[suite]]))
+    assert 0.5 < mean < 2.0, (quantity, [row[quantity] for row in figures[suite]])
