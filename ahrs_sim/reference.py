@@ -228,7 +228,7 @@ def _lines() -> Iterator[str]:
                 "Further tables override figures of the grade, e.g. `[suite.chr.gyro]`: see *Grades* below.",
             )
         if name == "estimator.NAME":
-            yield from ("", "Other keys are settings of the method: `ahrs-sim list estimators --json`.")
+            yield from ("", "Other keys are settings of the method: `ahrs-sim list estimators NAME`.")
     yield from ("", "## `[[step]]`: manoeuvres", "")
     yield from ('Each step says `do = "NAME"`. They are flown one after the other.',)
     for name, (text, keys) in manoeuvres().items():

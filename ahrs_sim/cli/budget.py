@@ -30,6 +30,10 @@ def run(arguments: argparse.Namespace) -> None:
     from ahrs_sim import scenario as scenarios
     from ahrs_sim.runs import budget
 
+    if arguments.png:
+        from ahrs_sim.review import figures
+
+        figures.require()  # before anything is flown
     scenario = scenarios.load(
         arguments.scenario, seed=arguments.seed, duration=arguments.duration, gate=gate(scenarios.ANY)
     )

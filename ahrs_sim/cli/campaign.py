@@ -65,6 +65,9 @@ def run(arguments: argparse.Namespace) -> int:
     for option, name in (("--worst-of", arguments.worst_of), ("--against", arguments.against)):
         if name is not None and name not in (known := [e.name for e in scenario.estimators]):
             raise InputError(f"{option} {name}: no such estimator in {scenario.name}{nearest(name, known)}")
+    if not arguments.quiet:
+        for note in scenario.notes:
+            print(f"ahrs-sim: {note}", file=sys.stderr)
     plan = campaign.Plan.make(scenario, arguments.runs, arguments.vary)
     keep = _worst(arguments.keep_logs, arguments.runs)
     hidden = arguments.quiet or arguments.json

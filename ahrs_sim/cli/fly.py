@@ -128,6 +128,9 @@ def carry_out(
             live.close()
     if not arguments.quiet:
         _print(arguments, {"log": str(output), **accuracy.result()}, unit)
+        if scenario.duration is None and not (stop or failure):  # else it was known before
+            for note in scenario.unreached(accuracy.span()[1]):
+                print(f"ahrs-sim: {note}", file=sys.stderr)
     if failure:
         raise failure
     if stop:

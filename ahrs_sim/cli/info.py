@@ -12,6 +12,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command = commands.add_parser("info", help="what is in a log")
     command.add_argument("log", type=Path)
     add_map(command)
+    command.add_argument("--all", action="store_true", help="print every topic and all metadata")
     command.add_argument("--json", action="store_true")
     return command
 
@@ -24,4 +25,7 @@ def run(arguments: argparse.Namespace) -> None:
 
     log = arguments.log if is_mcap(arguments.log) else open_log(arguments.log, arguments.map)
     notes = getattr(log, "notes", [])
-    print(json.dumps(info.summary(log), indent=1) if arguments.json else "\n".join([info.text(log), *notes]))
+    if arguments.json:
+        print(json.dumps(info.summary(log), indent=1))
+    else:
+        print("\n".join([info.text(log, everything=arguments.all), *notes]))

@@ -2,15 +2,21 @@
 
 import argparse
 import json
+import shutil
+import sys
+import textwrap
+from collections.abc import Iterable
 from typing import Any
 
 from ahrs_sim.cli.common import Commands
+from ahrs_sim.errors import InputError, nearest
 
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
     command = commands.add_parser("list", help="list scenarios, aircraft, grades, estimators or layouts")
     command.add_argument("what", choices=[*_LISTS, "interface"])
+    command.add_argument("name", nargs="?", metavar="NAME", help="only this one, with every figure or setting")
     command.add_argument("--json", action="store_true")
     return command
 
@@ -23,13 +29,42 @@ def run(arguments: argparse.Namespace) -> None:
         print(HEADER.read_text(encoding="utf-8"), end="")
         return
     rows = _LISTS[arguments.what]()
+    if arguments.name is not None:
+        key = next(iter(rows[0]))
+        known = dict.fromkeys(row[key] for row in rows)
+        rows = [row for row in rows if row[key] == arguments.name]
+        if not rows:
+            raise InputError(f"list {arguments.what}: no '{arguments.name}'{nearest(arguments.name, known)}")
+    elif arguments.what == "grades" and not arguments.json:
+        rows = [{"grade": row["grade"], "title": row["figure"]} for row in rows if not row["mark"]]
     if arguments.json:
         print(json.dumps(rows, indent=1))
         return
-    table = [[str(v) for v in row.values() if not isinstance(v, dict)] for row in rows]
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    for cells in table:
-        print("  ".join(f"{cell:{width}s}" for cell, width in zip(cells, widths, strict=True)).rstrip())
+    _print([str(v).rstrip() for v in row.values() if not isinstance(v, dict)] for row in rows)
+    if arguments.name is not None:
+        for values in (v for row in rows for v in row.values() if isinstance(v, dict)):
+            print("\n".join(f"  {key} = {_setting(value)}" for key, value in values.items()))
+
+
+def _setting(value: Any) -> str:
+    """A setting with its default, or a key of a manoeuvre with what it may be."""
+    if not isinstance(value, dict):
+        return json.dumps(value)
+    return f"{value['value']}; default {value['default']}" if value["default"] else str(value["value"])
+
+
+def _print(table: Iterable[list[str]]) -> None:
+    """Print rows in columns; on a terminal what is too long goes on below its first column, elsewhere a line a row."""
+    rows = list(table)
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    screen = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    for cells in rows:
+        line = "  ".join(f"{cell:{width}s}" for cell, width in zip(cells, widths, strict=True)).rstrip()
+        if screen and len(line) > screen:
+            first, rest = cells[0], "  ".join(cell for cell in cells[1:] if cell)
+            indent = " " * (min(widths[0], screen // 3) + 2)
+            line = textwrap.fill(rest, screen, initial_indent=f"{first:{len(indent)}s}", subsequent_indent=indent)
+        print(line)
 
 
 def _scenarios() -> list[dict[str, Any]]:

@@ -45,8 +45,12 @@ def summary(source: str | Path | Any) -> dict[str, Any]:
         }
 
 
-def text(source: str | Path | Any) -> str:
+def text(source: str | Path | Any, *, everything: bool = True) -> str:
     """The same for a person.
+
+    Args:
+        source: as for `summary`.
+        everything: also each topic of every estimator, specifications and settings; else what fits a screen.
 
     Raises:
         InputError: the file is not a log, or not a whole one.
@@ -62,7 +66,7 @@ def text(source: str | Path | Any) -> str:
         "",
     ]
     rows = [("topic", "type", "messages", "Hz")]
-    for t in s["topics"]:
+    for t in s["topics"] if everything else _together(s["topics"]):
         rate = "" if t["rate_hz"] is None else f"{t['rate_hz']:.1f}"
         form = "" if (t["encoding"], t["schema_encoding"]) == ("cdr", "ros2msg") else _form(t)
         kind = " ".join(word for word in (t["type"], form) if word)
@@ -72,10 +76,17 @@ def text(source: str | Path | Any) -> str:
         f"{topic:{width[0]}}  {kind:{width[1]}}  {count:>{width[2]}}  {rate:>{width[3]}}".rstrip()
         for topic, kind, count, rate in rows
     ]
-    for name, values in s["metadata"].items():
+    names = dict.fromkeys(t["topic"].split("/")[2] for t in s["topics"] if t["topic"].startswith("/est/"))
+    if names and not everything:
+        lines += ["", f"estimators: {', '.join(_one_line(name) for name in names)}"]
+    shown = s["metadata"] if everything else {k: v for k, v in s["metadata"].items() if k == "flight"}
+    for name, values in shown.items():
         entries = (f"  {_one_line(key)} = {_one_line(value)}" for key, value in values.items())
         lines += ["", f"{_one_line(name)}:", *entries]
-    if s["attachments"]:
+    if len(shown) < len(s["metadata"]):
+        rest = sorted({name.partition(" ")[0] for name in s["metadata"]} - set(shown))
+        lines += ["", f"--all shows the rest: {', '.join(_one_line(name) for name in rest)}"]
+    if s["attachments"] and everything:
         sizes = (f"  {_one_line(name)}, {size} bytes" for name, size in s["attachments"].items())
         lines += ["", "attachments:", *sizes]
     if any((t["encoding"], t["schema_encoding"]) != ("cdr", "ros2msg") for t in s["topics"]):
@@ -84,6 +95,20 @@ def text(source: str | Path | Any) -> str:
             "in brackets: not ROS 2 ('cdr' with 'ros2msg'); but for standard types it is carried along, not read",
         ]
     return "\n".join(lines)
+
+
+def _together(topics: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The topics with a row for each of `/est/*/state` instead of one an estimator."""
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    for t in topics:
+        parts = t["topic"].split("/")
+        name = "/".join(["/est/*", *parts[3:]]) if parts[:2] == ["", "est"] and len(parts) == 4 else t["topic"]
+        row = found.setdefault((name, t["type"]), {**t, "topic": name, "messages": 0})
+        row["messages"] += t["messages"]
+    estimators = dict.fromkeys(t["topic"].split("/")[2] for t in topics if t["topic"].startswith("/est/"))
+    for (name, _), row in found.items():
+        row["topic"] = name.replace("*", next(iter(estimators))) if len(estimators) == 1 else name
+    return list(found.values())
 
 
 def _form(topic: dict[str, Any]) -> str:

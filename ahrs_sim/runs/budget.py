@@ -151,12 +151,10 @@ class Budget:
         """Draw the table as bars.
 
         Raises:
-            InputError: matplotlib is missing, or the file cannot be written.
+            InputError: the file cannot be written.
         """
-        try:
-            from matplotlib.figure import Figure
-        except ImportError:
-            raise InputError("--png needs matplotlib; pip install 'ahrs-sim[plot]'") from None
+        from matplotlib.figure import Figure
+
         rows = [line for line in self.lines if self._matters(line)][::-1]
         figure = Figure((10, 1.5 + 0.32 * len(rows)), layout="constrained")
         place = np.arange(len(rows))

@@ -9,7 +9,7 @@ import datetime
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -105,6 +105,11 @@ class Scenario:
     def epoch_ns(self) -> int:
         """The epoch in ns since 1970."""
         return int(self.epoch.timestamp()) * 10**9 + self.epoch.microsecond * 1000
+
+    def unreached(self, end: float) -> list[str]:
+        """Name the faults that begin only after the flight's end (s), a line each for the user."""
+        late = [(f, at) for f in self.faults if isinstance(at := f.settings.get("at_s"), int | float) and at >= end]
+        return [f"{f.where}: at_s = {at:g}: never happens, the flight ends at {end:.0f} s" for f, at in late]
 
     def toml(self) -> str:
         """The effective scenario as TOML: flying this text again gives the same log."""
@@ -224,6 +229,8 @@ def parse(
     )
     table.close()
     _check_links(scenario)
+    if scenario.duration is not None and (late := scenario.unreached(scenario.duration)):
+        return replace(scenario, notes=(*scenario.notes, *late))
     return scenario
 
 

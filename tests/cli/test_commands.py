@@ -5,10 +5,11 @@ import shutil
 import subprocess
 import sys
 from importlib.metadata import version
+from pathlib import Path
 
 import pytest
 
-from ahrs_sim import cli
+from ahrs_sim import cli, scenario
 
 
 def output_of(*arguments: str, capsys: pytest.CaptureFixture[str]) -> str:
@@ -48,3 +49,44 @@ def test_an_unknown_shell_is_one_line(capsys: pytest.CaptureFixture[str]) -> Non
     with pytest.raises(SystemExit, match="2"):
         cli.main(["--completion", "dos"])
     assert "known: bash" in capsys.readouterr().err
+
+
+def test_grades_are_a_line_each_and_one_in_full_by_name(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["list", "grades"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len({line.split()[0] for line in lines}) > 5
+    assert cli.main(["list", "grades", "chr_6dm"]) == 0
+    assert "imu.rate_hz = 100" in capsys.readouterr().out
+    assert cli.main(["list", "grades", "chr_6d"]) == 2
+    assert "did you mean 'chr_6dm'" in capsys.readouterr().err
+
+
+def test_an_estimator_by_name_has_its_settings(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["list", "estimators", "hand-ins"]) == 0
+    assert "  align_s = 20.0" in capsys.readouterr().out.splitlines()
+    assert cli.main(["list", "manoeuvres", "turn"]) == 0
+    assert "  bank_deg = number" in capsys.readouterr().out
+
+
+def test_lists_fit_the_terminal(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    assert cli.main(["list", "estimators"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert sum(not line.startswith(" ") for line in lines) >= 20
+
+
+def test_a_fault_after_the_end_is_reported_before_the_flight(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "late.toml"
+    path.write_text(
+        'duration_s = 2.0\n[motion]\nkind = "sway"\n[suite.chr]\ngrade = "chr_6dm"\n[estimator]\n'
+        '[[fault]]\nsensor = "gyro"\nkind = "bias"\nsize_dps = 1.0\nat_s = 900.0\n'
+    )
+    assert cli.main(["fly", str(path), "-o", str(tmp_path / "a.mcap")]) == 0
+    error = capsys.readouterr().err
+    assert "late.toml: [[fault]] 1: at_s = 900: never happens, the flight ends at 2 s" in error
+    assert scenario.load(str(path), duration=1000.0).notes == ()
+    assert len(scenario.load(str(path)).unreached(100.0)) == 1

@@ -220,6 +220,15 @@ def test_info(log: Path) -> None:
     assert "gyro = 0.03 deg/s" in text
 
 
+def test_info_fits_a_screen(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(log)]) == 0
+    short = capsys.readouterr().out
+    assert main(["info", str(log), "--all"]) == 0
+    assert len(short.splitlines()) < len(capsys.readouterr().out.splitlines())
+    assert "--all shows the rest: " in short
+    assert "gyro = 0.03 deg/s" not in short
+
+
 # ---------------------------------------------------------------------------------------------- writing
 
 
