@@ -1,14 +1,18 @@
 """Tilt and heading in sustained turns: every filter and every peer on the same flights, on seeds not used in tuning.
 
     python benchmarks/turns_accuracy.py [--seeds 101..120] [--peers 3] [--duration 400] [--markdown docs/accuracy.md]
+    python benchmarks/turns_accuracy.py --figures FILE --markdown docs/accuracy.md     # of what has been flown, anew
 
 Flies `turns` and `circuit` (30 and 45 deg of bank) in 5 m/s of wind and light turbulence, each seed once with all
 estimators on it. A figure is the RMS over flights from 80 s on; "worst" is the worst seed's tilt over it; NEES and
 NIS are means per degree of freedom. The row with an outage counts its 60 s only, all of them in a turn. The peers of
-plain Python are slow: they fly with the first `--peers` seeds only (0: none).
+plain Python are slow: they fly with the first `--peers` seeds only (0: none). The Cramer-Rao bound (`ahrs-sim bound`)
+is that of the first seeds' flights: it depends on the trajectory, not on what is drawn. `--figures FILE` keeps what
+every flight gave, seed by seed.
 """
 
 import argparse
+import json
 import math
 import sys
 import time
@@ -20,11 +24,16 @@ import numpy as np
 
 from ahrs_sim import pipeline, scenario
 from ahrs_sim.evaluation.accuracy import Accuracy
+from ahrs_sim.runs import bound
 
 SCENARIOS, SUITES = ("turns", "circuit"), ("chr", "sbg")
 START, OUTAGE, OUTAGE_S = 80.0, 240.0, 60.0
 WORST = 1.6
 PEERS = ("vqf", "imufusion", "madgwick", "mahony", "ahrs-ekf", "turbo-ckf")
+
+BOUNDS = {"gnss": "magnetometer, GNSS", "dual": "magnetometer, GNSS, two antennas"}
+BOUND_OF = {"ins15": "gnss", "ins21": "gnss", "cal": "gnss", "dual": "dual", "cal-dual": "dual"}
+"""The bound of the same sensors, by row; those with airspeed have none."""
 
 # key: what it is, settings, goals by suite (tilt, heading; deg), bounds of NEES and NIS
 ROWS: dict[str, tuple[str, dict[str, Any], tuple[tuple[float, float], ...], tuple[float, float]]] = {
@@ -168,8 +177,8 @@ def estimators(peers: bool) -> dict[str, dict[str, Any]]:
     return tables
 
 
-def flight(name: str, seed: int, duration: float | None, peers: bool) -> dict[str, dict[str, Any]]:
-    """Figures of every estimator of one flight, as `compare` has them, nothing logged."""
+def flight(name: str, seed: int, duration: float | None, peers: bool, bounds: bool) -> dict[str, dict[str, Any]]:
+    """Figures of every estimator of one flight, as `compare` has them, nothing logged; with its bounds if asked."""
     known = scenario.load(name).data
     known.pop("catalogue", None)
     suites = known["suite"]
@@ -190,7 +199,23 @@ def flight(name: str, seed: int, duration: float | None, peers: bool) -> dict[st
     if name == "turns":
         lost = accuracy.result(low=OUTAGE, high=OUTAGE + OUTAGE_S, band_s=1e4)["estimators"]
         figures |= {k: lost[k] for k in figures if k.startswith("outage")}
+    if bounds:
+        figures |= bounds_of(data | {"estimator": {}, "fault": []}, name, seed, duration)
     return figures
+
+
+def bounds_of(data: dict[str, Any], name: str, seed: int, duration: float | None) -> dict[str, dict[str, Any]]:
+    """The bounds of a flight as if they were estimators: `bound-AIDS-SUITE`."""
+    flown = scenario.parse(data, name, name, seed=seed, duration=duration)
+    found = {}
+    for suite in SUITES:
+        made = bound.make(flown, suite, aids={key: bound.AIDS[aids] for key, aids in BOUNDS.items()})
+        for key, one in made.items():
+            tilt, heading = (math.degrees(x) for x in one.rms(START))
+            found[f"bound-{key}-{suite}"] = {
+                "tilt_rmse_deg": tilt, "heading_rmse_deg": heading, "nees": None, "nis": None,
+            }  # fmt: skip
+    return found
 
 
 def rms(values: list[float]) -> float:
@@ -233,8 +258,8 @@ def lines(flown: dict[int, list[dict[str, Any]]]) -> list[str]:
             "",
             f"## {suite.upper()} grade",
             "",
-            "| | tilt / heading | goal | worst seed | NEES | NIS | |",
-            "|---|---|---|---|---|---|---|",
+            "| | tilt / heading | x the bound | goal | worst seed | NEES | NIS | |",
+            "|---|---|---|---|---|---|---|---|",
         ]
         for key, (told, _, goals, bounds) in ROWS.items():
             found = summary(flown, f"{key}-{suite}")
@@ -247,14 +272,55 @@ def lines(flown: dict[int, list[dict[str, Any]]]) -> list[str]:
                 asked = goals[SUITES.index(suite)]
                 goal, judged = f"{asked[0]:g} / {asked[1]:g}", verdict(found, asked, bounds)
             made.append(
-                f"| {told} | {found[0]:.2f} / {found[1]:.2f} | {goal} | {found[2]:.2f} | {found[3]:.3g} "
+                f"| {told} | {found[0]:.2f} / {found[1]:.2f} | {times_bound(flown, key, suite)} | {goal} "
+                f"| {found[2]:.2f} | {found[3]:.3g} "
                 f"| {found[4]:.2g} | {judged} |"
             )
         for name in PEERS:
             for key, told in ((name, f"{name}, raw"), (f"{name}-air", f"{name}, accelerometer corrected by airspeed")):
                 if (found := summary(flown, f"{key}-{suite}")) is not None:
-                    made.append(f"| {told} | {found[0]:.2f} / {found[1]:.2f} | | {found[2]:.2f} | | | |")
+                    made.append(f"| {told} | {found[0]:.2f} / {found[1]:.2f} | | | {found[2]:.2f} | | | |")
+        for key, aids in BOUNDS.items():
+            if (found := summary(flown, f"bound-{key}-{suite}")) is not None:
+                made.append(f"| bound of any filter: {aids} | {found[0]:.2f} / {found[1]:.2f} | 1 | | | | | |")
     return made
+
+
+def times_bound(flown: dict[int, list[dict[str, Any]]], key: str, suite: str) -> str:
+    """Tilt and heading of a row as multiples of the bound of its sensors, on the flights that have one."""
+    aids = BOUND_OF.get(key)
+    with_bound = {s: [f for f in flights if f"bound-{aids}-{suite}" in f] for s, flights in flown.items()}
+    least = summary(with_bound, f"bound-{aids}-{suite}")
+    found = summary(flown, f"{key}-{suite}")
+    if least is None or found is None:
+        return ""
+    return f"{found[0] / least[0]:.2f} / {found[1] / least[1]:.2f}"
+
+
+def fly_all(arguments: argparse.Namespace, seeds: range) -> dict[int, list[dict[str, Any]]]:
+    """Figures of both flights of every seed; those in the file of `--figures` are not flown again."""
+    flown: dict[int, list[dict[str, Any]]] = {}
+    if arguments.figures and arguments.figures.exists():
+        flown = {int(seed): flights for seed, flights in json.loads(arguments.figures.read_text()).items()}
+        if not arguments.more:
+            return flown
+    begun = time.perf_counter()
+    with ProcessPoolExecutor(arguments.jobs) as pool:
+        waiting = [
+            (seed, pool.submit(flight, name, seed, arguments.duration, k < arguments.peers, k < arguments.bounds))
+            for k, seed in enumerate(seeds)
+            if seed not in flown
+            for name in SCENARIOS
+        ]
+        new: dict[int, list[dict[str, Any]]] = {}
+        for seed, done in waiting:
+            new.setdefault(seed, []).append(done.result())
+            print(f"seed {seed}, {time.perf_counter() - begun:.0f} s", file=sys.stderr, flush=True)
+            if len(new[seed]) == len(SCENARIOS):
+                flown[seed] = new[seed]
+                if arguments.figures:
+                    arguments.figures.write_text(json.dumps(flown))
+    return flown
 
 
 def main() -> int:
@@ -263,22 +329,16 @@ def main() -> int:
     parser.add_argument("--seeds", default="101..150", help="FIRST..LAST")
     parser.add_argument("--jobs", type=int, default=2, help="flights at the same time")
     parser.add_argument("--peers", type=int, default=3, help="seeds that the peers fly with as well")
+    parser.add_argument("--bounds", type=int, default=1, help="seeds whose bound is computed")
+    parser.add_argument("--more", action="store_true", help="with --figures: fly the seeds that are not in it yet")
     parser.add_argument("--duration", type=float, help="s, of each flight at most")
     parser.add_argument("--markdown", type=Path, help="write the page there")
+    parser.add_argument("--figures", type=Path, metavar="FILE", help="keep what the flights give; go on from there")
     arguments = parser.parse_args()
     first, _, last = arguments.seeds.partition("..")
     seeds = range(int(first), int(last or first) + 1)
-    flown: dict[int, list[dict[str, Any]]] = {}
-    begun = time.perf_counter()
-    with ProcessPoolExecutor(arguments.jobs) as pool:
-        waiting = [
-            (seed, pool.submit(flight, name, seed, arguments.duration, k < arguments.peers))
-            for k, seed in enumerate(seeds)
-            for name in SCENARIOS
-        ]
-        for seed, done in waiting:
-            flown.setdefault(seed, []).append(done.result())
-            print(f"seed {seed}, {time.perf_counter() - begun:.0f} s", file=sys.stderr, flush=True)
+    flown = fly_all(arguments, seeds)
+    seeds = range(min(flown), max(flown) + 1)
     length = f"the first {arguments.duration:.0f} s" if arguments.duration else "whole flights"
     flights = f"`turns` and `circuit`, {length}, wind 5 m/s, light turbulence, seeds {seeds[0]} to {seeds[-1]}"
     table = lines(flown)

@@ -11,6 +11,7 @@ from typing import Any
 from ahrs_sim.cli import (
     aircraft,
     allan,
+    bound,
     budget,
     campaign,
     certify,
@@ -33,8 +34,8 @@ from estimators.errors import EstimationError
 
 # in the order of `ahrs-sim --help`
 _COMMANDS = (
-    fly, serve, replay, compare, info, export, recover, allan, check, campaign, certify, choose, budget, papers,
-    aircraft, new, listing, schema,
+    fly, serve, replay, compare, info, export, recover, allan, check, campaign, certify, choose, budget, bound,
+    papers, aircraft, new, listing, schema,
 )  # fmt: skip
 
 
