@@ -11,7 +11,8 @@ from ahrs_sim.flight import gains
 from ahrs_sim.flight.columns import FT, INCH
 from ahrs_sim.flight.design import DT, Design, Row, load
 from ahrs_sim.flight.fdm import Fdm, indexed
-from ahrs_sim.flight.tunnel import CONTROLS, G, Point, Trim, Tunnel
+from ahrs_sim.flight.tunnel import CONTROLS, Point, Trim, Tunnel
+from ahrs_sim.world.gravity import STANDARD as G
 
 TOLERANCE = 0.05  # m/s2: a trim is one
 SPEEDS = 8

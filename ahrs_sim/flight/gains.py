@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from ahrs_sim.world.gravity import STANDARD as G
+
 GAIN_MARGIN = 8.0  # dB
 PHASE_MARGIN = 45.0  # deg
 DAMPING = 0.5  # of every closed-loop mode faster than SLOW
@@ -59,7 +61,7 @@ def lateral_model(d: np.ndarray, speed: float, theta: float, lags: tuple[float, 
     a = np.zeros((8, 8))
     a[0, :5] = d[1] / speed
     a[1, :5], a[2, :5] = d[3], d[5]
-    a[0, 7] = 9.80665 * np.cos(theta) / speed
+    a[0, 7] = G * np.cos(theta) / speed
     a[3, 3], a[4, 4] = -1.0 / lags[0], -1.0 / lags[1]
     a[5, 1] = 1.0
     a[6, :5] = d[6]

@@ -15,8 +15,8 @@ from ahrs_sim.flight.autopilot import Autopilot, wrap
 from ahrs_sim.flight.columns import FT
 from ahrs_sim.flight.design import Design, Row
 from ahrs_sim.flight.fdm import Fdm, indexed, start_engines, stop_engines
+from ahrs_sim.world.gravity import STANDARD as G
 
-G = 9.80665  # m/s2
 RATE = 100.0  # Hz
 LEAST_SPEED = 5.0  # m/s, in what divides by it
 STALL_GUARD = math.radians(1.5)  # beyond the greatest angle of attack that was trimmed

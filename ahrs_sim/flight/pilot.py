@@ -19,9 +19,8 @@ from ahrs_sim.flight.manoeuvres import Failure, HandOver, Manoeuvre
 from ahrs_sim.flight.truth import Event, Setpoints
 from ahrs_sim.scenario import Start
 from ahrs_sim.world import wgs84
+from ahrs_sim.world.gravity import STANDARD as G
 from estimators import rotations
-
-G = 9.80665  # m/s2
 
 
 def own_autopilot(fdm: Fdm) -> bool:

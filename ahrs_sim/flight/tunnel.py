@@ -14,8 +14,8 @@ from scipy import optimize
 from ahrs_sim.flight.columns import FT
 from ahrs_sim.flight.design import DT
 from ahrs_sim.flight.fdm import Fdm, configure, engines, indexed, start_engines, write
+from ahrs_sim.world.gravity import STANDARD as G
 
-G = 9.80665  # m/s2
 WINDOW = 0.1  # s
 SETTLED = 1.2e-4  # m/s2 and rad/s2 in a window: nothing changes any more
 PATIENCE = 15.0  # s, for a propeller or a turbine that is slow

@@ -8,6 +8,7 @@ import numpy as np
 
 from ahrs_sim.papers import Claim, Reproduction, Verdict, holds, judge
 from ahrs_sim.papers.bench import Flown, fly, measure
+from ahrs_sim.world.gravity import STANDARD
 
 RUNS = 5
 STILL, LENGTH, SETTLED = 24.0, 240.0, 10.0
@@ -35,7 +36,7 @@ _CHR = {
 _VARIANCES = {  # the numbers printed, read as variances of a sample in SI units
     "grade": "ideal",
     "gyro": {"noise_density_dps_rthz": math.degrees(math.sqrt(math.radians(10.0 / 3600.0))) * _ROOT},
-    "accelerometer": {"noise_density_mps2_rthz": math.sqrt(10e-6 * 9.80665) * _ROOT},
+    "accelerometer": {"noise_density_mps2_rthz": math.sqrt(10e-6 * STANDARD) * _ROOT},
     "magnetometer": {"noise_density_ut_rthz": math.sqrt(1e-13) * 1e6 * _ROOT},
 }
 _WALK = {"printed": 1e-8, "variances": 1e-6, "CHR": 1e-6}

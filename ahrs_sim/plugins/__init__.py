@@ -14,7 +14,7 @@ from typing import Any
 import estimators
 from ahrs_sim.errors import InputError
 from ahrs_sim.plugins.border import Guarded, Processes
-from ahrs_sim.scenario.table import is_file
+from ahrs_sim.scenario.table import named_file
 from estimators import SensorInfo, Site
 
 __all__ = ["FMU", "LIBRARY", "Guarded", "Processes", "create", "failures", "located"]
@@ -71,10 +71,8 @@ def located(path: str, folder: Path) -> Path:
     Raises:
         InputError: there is no such file in either.
     """
-    for base in (folder, Path()):
-        found = base / path
-        if is_file(found):
-            return found
+    if found := named_file(path, folder):
+        return found
     raise InputError(f"{path}: no such file beside the scenario ({folder}) or in the current folder")
 
 

@@ -275,6 +275,11 @@ def is_file(path: Path) -> bool:
         return False
 
 
+def named_file(name: str, folder: Path) -> Path | None:
+    """Find a file that another one in `folder` names: beside that one, else in the current folder; None: in neither."""
+    return next((base / name for base in (folder, Path()) if is_file(base / name)), None)
+
+
 def _closest(word: str, known: Sequence[str]) -> str:
     hint = nearest(word, known)
     return hint.split("'")[1] if hint.startswith("; did") else ""

@@ -111,9 +111,7 @@ class AirData:
 
     def sense(self, truth: Truth) -> dict[str, Record]:
         """Records that arrive within the block."""
-        n = len(truth)
-        rows = self._clock.rows(n)
-        t = truth.t[rows]
+        rows, t, now = self._clock.sample(truth)
         m = len(t)
         pressures, air = np.empty((m, 2)), np.empty((m, 4))
         noise = self._white.draw(m)
@@ -132,7 +130,6 @@ class AirData:
         _compute(pressures, pick(truth.temperature, rows), self.temperature_bias, air)
         air[:, 2:] = self._vanes(truth, rows, t, air[:, 1])
         ns = nanoseconds(t)
-        now = truth.t[-1] if n else 0.0
         diff, static, computed = self._outboxes
         return {
             "diff_pressure": diff.post(PressureRecord(ns, ns, pressures[:, 0]), t, now),

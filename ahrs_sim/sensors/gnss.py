@@ -128,10 +128,7 @@ class Gnss:
 
     def sense(self, truth: Truth) -> dict[str, Record]:
         """Records that arrive within the block."""
-        n = len(truth)
-        now = truth.t[-1] if n else 0.0
-        rows = self._clock.rows(n)
-        t = truth.t[rows]
+        rows, t, now = self._clock.sample(truth)
         m = len(t)
         if not m:
             return {"fix": self._fixes.wait(now), "velocity": self._velocities.wait(now)}

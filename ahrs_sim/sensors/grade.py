@@ -29,7 +29,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ahrs_sim.errors import InputError, nearest
-from ahrs_sim.scenario.table import is_file, read_toml
+from ahrs_sim.scenario.table import named_file, read_toml
 from ahrs_sim.world import gravity
 
 _LARGEST = 1e9  # that a figure may be
@@ -219,9 +219,8 @@ def _find(name: str, where: str) -> Path:
         return Path(str(resources.files("ahrs_sim.sensors") / "grades" / f"{name}.toml"))
     if not name.endswith(".toml"):
         raise InputError(f"{where}: grade: '{name}' is unknown{nearest(name, names())}; or a file: \"mine.toml\"")
-    for folder in (Path(where.partition(":")[0]).parent, Path()):
-        if is_file(folder / name):
-            return folder / name
+    if found := named_file(name, Path(where.partition(":")[0]).parent):
+        return found
     raise InputError(f"{where}: grade: {name}: no such file beside it or in the current folder")
 
 

@@ -90,8 +90,7 @@ class Imu:
         n = len(truth)
         if self.position is None and n:
             self.position = truth.cg_b[0] + self._from_cg
-        rows = self._clock.rows(n)
-        slot = truth.t[rows]
+        rows, slot, now = self._clock.sample(truth)
         m = len(slot)
         extra = np.zeros(m)
         stamp = slot
@@ -110,7 +109,6 @@ class Imu:
         gyro, over, gyro_bias, gyro_effective, _ = self.gyro.measure(
             truth.rate_ib_b, rows, slot, extra, shake[:, :3], force, rms2, warmth
         )
-        now = truth.t[-1] if n else 0.0
         stamp_ns, arrival_ns = nanoseconds(stamp), nanoseconds(slot)
         values = ImuRecord(stamp_ns, arrival_ns, gyro, accel, clipped | over, temperature)
         errors = ImuErrorsRecord(stamp_ns, arrival_ns, gyro_bias, accel_bias, gyro_effective, accel_effective)

@@ -77,8 +77,7 @@ class Magnetometer:
     def sense(self, truth: Truth) -> dict[str, Record]:
         """Records that arrive within the block."""
         n = len(truth)
-        rows = self._clock.rows(n)
-        t = truth.t[rows]
+        rows, t, now = self._clock.sample(truth)
         field_b = np.empty((n, 3))
         # Between two samples the aircraft moves by metres and the field by picotesla: held.
         field_n = magnetic.field_n(pick(truth.lla, rows), self._epoch) if len(t) else np.empty((0, 3))
@@ -88,8 +87,7 @@ class Magnetometer:
                        self.motor_field, field_b)  # fmt: skip
         values, saturated, *_ = self.triad.measure(field_b, rows, t, np.zeros(len(t)))
         ns = nanoseconds(t)
-        sent = self._outbox.post(MagRecord(ns, ns, values, saturated), t, truth.t[-1] if n else 0.0)
-        return {"mag": sent}
+        return {"mag": self._outbox.post(MagRecord(ns, ns, values, saturated), t, now)}
 
 
 @njit

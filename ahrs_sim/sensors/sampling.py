@@ -5,11 +5,12 @@ import math
 import numpy as np
 
 from ahrs_sim.errors import InputError
+from ahrs_sim.flight.truth import Truth
 from ahrs_sim.jit import njit
 
 
 class Clock:
-    """Says which rows of the truth an instrument samples: every `every`-th since the first."""
+    """Chooses the rows of the truth that an instrument samples: every `every`-th since the first."""
 
     def __init__(self, every: int) -> None:
         self.every = every
@@ -20,6 +21,11 @@ class Clock:
         first = self._next
         self._next = first + -(-(n - first) // self.every) * self.every - n if n > first else first - n
         return slice(first, n, self.every)
+
+    def sample(self, truth: Truth) -> tuple[slice, np.ndarray, float]:
+        """Return the sampled rows of the next block, their times (m,) s, and the time at which the block ends, s."""
+        rows = self.rows(len(truth))
+        return rows, truth.t[rows], float(truth.t[-1]) if len(truth) else 0.0
 
 
 def divider(rate: float, dt: float, what: str) -> int:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ahrs_sim.jit import njit
 from ahrs_sim.world.wgs84 import E2, EARTH_RATE, GM, A
+from estimators.rotations import nav_vector
 
 EPOCH = datetime.datetime(1993, 7, 1, tzinfo=datetime.UTC)
 GREENWICH = math.radians((18.0 + 36.0 / 60.0 + 14.4 / 3600.0) * 15.0)  # hour angle of the equinox at EPOCH
@@ -94,9 +95,7 @@ def _in_view(
 ) -> None:  # fmt: skip
     _directions(since_epoch, lla, work)
     for i in range(count.shape[0]):
-        a, b, c, d = q_nb[i, 0], q_nb[i, 1], q_nb[i, 2], q_nb[i, 3]
-        # The body's down axis in NED: third column of C_nb.
-        n, e, down = 2.0 * (b * d + a * c), 2.0 * (c * d - a * b), a * a - b * b - c * c + d * d
+        n, e, down = nav_vector(q_nb[i], 0.0, 0.0, 1.0)  # the body's down axis
         total = 0
         for s in range(work.shape[1]):
             above_wings = -(n * work[i, s, 0] + e * work[i, s, 1] + down * work[i, s, 2])

@@ -9,7 +9,7 @@ from ahrs_sim.flight.autopilot import Autopilot, State, wrap
 from ahrs_sim.flight.fdm import Fdm
 from ahrs_sim.scenario.table import Table
 
-G = 9.81  # m/s2
+G = 9.81  # m/s2, of steering; what the baseline's flights are flown with, so not the standard's digits
 
 
 class Failure(Exception):

@@ -3,7 +3,7 @@
 # ruff: noqa: D102  (`Manoeuvre` documents the methods which every class below defines)
 
 import math
-from typing import TypeVar
+from typing import ClassVar, TypeVar
 
 from ahrs_sim.flight.autopilot import Autopilot, State, wrap
 from ahrs_sim.flight.manoeuvres.base import Failure, G, Manoeuvre, bank_for, optional
@@ -72,23 +72,17 @@ def line_course(state: State, cross: float, course: float, bank: float) -> float
     return course - math.radians(50.0) * 2.0 / math.pi * math.atan(cross / (0.35 * radius(state, bank) + 1.0))
 
 
-class Goto(Manoeuvre):
-    """Fly to a waypoint: `north_m`, `east_m` from the start, or `latitude_deg`, `longitude_deg`.
+class _ToPlace(Manoeuvre):
+    """A step that begins by flying to a place, at a height and with a bank of its own."""
 
-    On the way to `height_m`, if given, at `rate_mps`. It is reached within `radius_m` (a third of the turn's radius at
-    `bank_deg`, 30), or without `radius_m` when it has been passed as near as the turn allows.
-    """
-
-    name = "goto"
+    required: ClassVar[bool] = False  # the place has to be given; else it may be where the aircraft is
+    banks: ClassVar[tuple[float, float]] = (30.0, 60.0)  # deg, `bank_deg` unless given, and its limit
 
     def read(self, table: Table) -> None:
-        self.place = _Place(table, required=True)
+        self.place = _Place(table, required=self.required)
         self.level = _Height(table)
-        self.within = optional(table, "radius_m", above=0.0)
-        self.bank = math.radians(table.number("bank_deg", 30.0, minimum=5.0, maximum=60.0))
-
-    def expected(self) -> float:
-        return 60.0
+        usual, most = self.banks
+        self.bank = math.radians(table.number("bank_deg", usual, minimum=5.0, maximum=most))
 
     def steepest(self, airspeed: float) -> float:
         return self.bank
@@ -98,15 +92,46 @@ class Goto(Manoeuvre):
         ap.level()
         self.level.take(ap, state)
         self.north, self.east = self.place.locate(state)
+
+    def distance(self, state: State) -> float:
+        """Horizontal distance to the place, m."""
+        return math.hypot(self.north - state.north, self.east - state.east)
+
+    def direct(self, state: State) -> float:
+        """Course to the place, rad."""
+        return math.atan2(self.east - state.east, self.north - state.north)
+
+
+def leave(ap: Autopilot, heading: float) -> None:
+    """Fly on with a heading, rad, which later steps come back to."""
+    ap.heading_goal = heading
+    ap.heading(heading)
+
+
+class Goto(_ToPlace):
+    """Fly to a waypoint: `north_m`, `east_m` from the start, or `latitude_deg`, `longitude_deg`.
+
+    On the way to `height_m`, if given, at `rate_mps`. It is reached within `radius_m` (a third of the turn's radius at
+    `bank_deg`, 30), or without `radius_m` when it has been passed as near as the turn allows.
+    """
+
+    name = "goto"
+    required = True
+
+    def read(self, table: Table) -> None:
+        super().read(table)
+        self.within = optional(table, "radius_m", above=0.0)
+
+    def expected(self) -> float:
+        return 60.0
+
+    def begin(self, ap: Autopilot, state: State) -> None:
+        super().begin(ap, state)
         if self.patient:
             self.timeout = 120.0 + 3.0 * self.distance(state) / max(ap.airspeed_goal, 5.0)
 
-    def distance(self, state: State) -> float:
-        """How far it is, m."""
-        return math.hypot(self.north - state.north, self.east - state.east)
-
     def step(self, ap: Autopilot, state: State) -> bool:
-        course = math.atan2(self.east - state.east, self.north - state.north)
+        course = self.direct(state)
         ap.roll(bank_for(ap, state, course, limit=self.bank))
         turn = radius(state, self.bank)
         distance = self.distance(state)
@@ -115,8 +140,7 @@ class Goto(Manoeuvre):
             return False
         if self.within and distance > self.within and passed:
             return self.round_again(state)
-        ap.heading_goal = state.heading
-        ap.heading(ap.heading_goal)
+        leave(ap, state.heading)
         return True
 
     def round_again(self, state: State) -> bool:
@@ -131,37 +155,30 @@ class Goto(Manoeuvre):
         return f"{self.distance(state):.0f} m before the waypoint, at {state.height:.0f} m"
 
 
-class Hold(Manoeuvre):
+class Hold(_ToPlace):
     """Racetrack over a fix, `times` (1) round: a place as in `goto`, or here; `course_deg` to it, or the present one.
 
     Legs of `leg_s` (60), turns at `bank_deg` (25) to the right, or to the `left`.
     """
 
     name = "hold"
+    banks = (25.0, 45.0)
 
     def read(self, table: Table) -> None:
-        self.place = _Place(table, required=False)
-        self.level = _Height(table)
+        super().read(table)
         course = optional(table, "course_deg", minimum=-360.0, maximum=360.0)
         self.given = None if course is None else math.radians(course)
         self.leg = table.number("leg_s", 60.0, above=0.0, maximum=3600.0)
         self.times = table.integer("times", 1, minimum=1, maximum=1000)
         self.sign = -1.0 if table.flag("left", False) else 1.0
-        self.bank = math.radians(table.number("bank_deg", 25.0, minimum=5.0, maximum=45.0))
 
     def expected(self) -> float:
         return self.times * 2.0 * (self.leg + math.pi * 20.0 / (G * math.tan(self.bank)))
 
-    def steepest(self, airspeed: float) -> float:
-        return self.bank
-
     def begin(self, ap: Autopilot, state: State) -> None:
-        self.take_airspeed(ap)
-        ap.level()
-        self.level.take(ap, state)
-        self.north, self.east = self.place.locate(state)
+        super().begin(ap, state)
         self.course = state.course if self.given is None else self.given
-        away = math.hypot(self.north - state.north, self.east - state.east)
+        away = self.distance(state)
         turn = math.pi * ap.airspeed_goal / (G * math.tan(self.bank))
         if self.patient:
             self.timeout = 240.0 + 3.0 * away / max(ap.airspeed_goal, 5.0) + 3.0 * self.times * 2.0 * (self.leg + turn)
@@ -173,9 +190,8 @@ class Hold(Manoeuvre):
         along, cross = line(state, self.north, self.east, self.course)
         turn = radius(state, self.bank)
         if self.phase in ("to the fix", "inbound"):
-            direct = math.atan2(self.east - state.east, self.north - state.north)
             far = self.phase == "to the fix" and math.hypot(along, cross) > 3.0 * turn
-            course = direct if far else line_course(state, cross, self.course, self.bank)
+            course = self.direct(state) if far else line_course(state, cross, self.course, self.bank)
             ap.roll(bank_for(ap, state, course, limit=self.bank))
             if along >= 0.0 and abs(cross) < 2.0 * turn and abs(wrap(state.course - self.course)) < 0.5 * math.pi:
                 return self.over_the_fix(ap, state)
@@ -196,8 +212,7 @@ class Hold(Manoeuvre):
         if self.phase == "inbound":
             self.round += 1
         if self.round >= self.times:
-            ap.heading_goal = self.course
-            ap.heading(ap.heading_goal)
+            leave(ap, self.course)
             return True
         self.phase, self.target = "turn outbound", self.course + math.pi
         return False
@@ -206,7 +221,7 @@ class Hold(Manoeuvre):
         return f"{self.phase}, {self.round} of {self.times} rounds, at {state.height:.0f} m"
 
 
-class Survey(Manoeuvre):
+class Survey(_ToPlace):
     """Parallel lines to and fro: `lines` (4) of `length_m` on `course_deg` (0), `spacing_m` apart to the right.
 
     The first begins at the place, as in `goto`, or here; a negative spacing goes on to the left. Turns at `bank_deg`
@@ -217,32 +232,23 @@ class Survey(Manoeuvre):
     RUN_OUT = 7.0  # turn radii beyond the end of a line, which it takes to be on the next
 
     def read(self, table: Table) -> None:
-        self.place = _Place(table, required=False)
-        self.level = _Height(table)
+        super().read(table)
         self.course = math.radians(table.number("course_deg", 0.0, minimum=-360.0, maximum=360.0))
         self.length = table.number("length_m", above=0.0, maximum=1e6)
         self.spacing = table.number("spacing_m", minimum=-1e5, maximum=1e5)
         self.lines = table.integer("lines", 4, minimum=1, maximum=1000)
-        self.bank = math.radians(table.number("bank_deg", 30.0, minimum=5.0, maximum=60.0))
 
     def expected(self) -> float:
         return self.lines * (self.length / 20.0 + 60.0)
 
-    def steepest(self, airspeed: float) -> float:
-        return self.bank
-
     def begin(self, ap: Autopilot, state: State) -> None:
-        self.take_airspeed(ap)
-        ap.level()
-        self.level.take(ap, state)
-        self.north, self.east = self.place.locate(state)
+        super().begin(ap, state)
         self.line = 0
         self.joined = False
-        away = math.hypot(self.north - state.north, self.east - state.east)
         speed = max(ap.airspeed_goal, 5.0)
         turn = speed**2 / (G * math.tan(self.bank))
         if self.patient:
-            self.timeout = 120.0 + 3.0 * (away + self.lines * (self.length + 20.0 * turn)) / speed
+            self.timeout = 120.0 + 3.0 * (self.distance(state) + self.lines * (self.length + 20.0 * turn)) / speed
 
     def ends(self) -> tuple[float, float, float]:
         """North and east of where the present line begins, and its course."""
@@ -270,8 +276,7 @@ class Survey(Manoeuvre):
         self.joined = False
         if self.line < self.lines:
             return False
-        ap.heading_goal = course
-        ap.heading(ap.heading_goal)
+        leave(ap, course)
         return True
 
     def progress(self, state: State) -> str:
