@@ -147,13 +147,13 @@ def map_tables() -> dict[str, Keys]:
 
 def suite_tables() -> dict[str, Keys]:
     """By table: the keys of a suite for `ahrs-sim check`."""
-    from ahrs_sim.runs import check
+    from ahrs_sim.runs import check_suite
 
     text = 'baseline = "x.json"\n[[flight]]\nscenario = "standing"\n'
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "suite.toml"
         file.write_text(text)
-        found = collected(lambda: check.load(str(file)))
+        found = collected(lambda: check_suite.load(str(file)))
         prefix = str(file)
     return {
         re.sub(r" \d+$", "", where.removeprefix(prefix).removeprefix(": ")).strip("[]"): keys

@@ -28,25 +28,27 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> int:
     """Fly a suite and compare its accuracy with the baseline, or renew the baseline; returns 1 when worse."""
-    from ahrs_sim.runs import check
+    from ahrs_sim.runs import check, check_baseline, check_report, check_suite
 
     if arguments.renew != bool(arguments.why):
         raise InputError("check: --renew and --why TEXT go together: a baseline changes for a reason")
-    suite = check.load(arguments.suite, gate(arguments.allow_code))
+    suite = check_suite.load(arguments.suite, gate(arguments.allow_code))
     if not arguments.renew:
-        check.read_baseline(suite)  # a missing one is reported before anything flies
+        check_baseline.read(suite)  # a missing one is reported before anything flies
     progress = Progress(f"flying {suite.name}", unit="flights", hidden=arguments.json)
     found = check.fly(suite, workers=arguments.workers, progress=progress)
     Progress.clear()
     if arguments.renew:
-        check.renew(suite, found, arguments.why)
+        check_baseline.renew(suite, found, arguments.why)
         print(f"{suite.baseline}: renewed")
         return 0
     result = check.compare(suite, found)
     if arguments.junit:
-        arguments.junit.write_text(check.junit(result), encoding="utf-8")
+        arguments.junit.write_text(check_report.junit(result), encoding="utf-8")
     if arguments.json:
-        print(json.dumps(check.as_json(result), indent=1))
+        print(json.dumps(check_report.as_json(result), indent=1))
+    elif arguments.markdown:
+        print(check_report.markdown(result))
     else:
-        print(check.markdown(result) if arguments.markdown else check.table(result, everything=arguments.all))
+        print(check_report.table(result, everything=arguments.all))
     return 0 if result.passed else 1

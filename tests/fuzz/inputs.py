@@ -17,8 +17,8 @@ from foreign_helpers import write_json, write_protobuf, write_ros1_bag, write_ro
 
 from ahrs_sim import cli, pipeline, scenario
 from ahrs_sim.evaluation.metrics import euler
-from ahrs_sim.runs import campaign, check
-from ahrs_sim.runs.check import Found
+from ahrs_sim.runs import campaign, check, check_baseline, check_report, check_suite
+from ahrs_sim.runs.check_baseline import Found
 from ahrs_sim.scenario import Gate
 from ahrs_sim.scenario.shipped import scenario_dir
 
@@ -175,10 +175,10 @@ def _fly_on_grade(file: Path, out: Path) -> object:
 
 def _check(file: Path, out: Path) -> object:
     shutil.copy(file.parent / "flight.toml", out)
-    suite = check.load(str(shutil.copy(file, out)))
+    suite = check_suite.load(str(shutil.copy(file, out)))
     shutil.copy(file.parent / "baseline.json", suite.baseline)
     figures = {f.name: {"mine": {"all.tilt": [1.0] * len(f.seeds)}} for f in suite.flights}
-    return check.table(check.compare(suite, Found(figures, {})))
+    return check_report.table(check.compare(suite, Found(figures, {})))
 
 
 def _baseline(file: Path, out: Path) -> object:
@@ -186,11 +186,11 @@ def _baseline(file: Path, out: Path) -> object:
     head, flights = SUITE.partition("[every]")[0], SUITE.partition("[[flight]]")[2]
     (out / "s.toml").write_text(f'baseline = "b.json"\n{head}[[flight]]{flights}')
     shutil.copy(file, out / "b.json")
-    suite = check.load(str(out / "s.toml"))
+    suite = check_suite.load(str(out / "s.toml"))
     figures = {f.name: {"mine": {"all.tilt": [1.0] * len(f.seeds)}} for f in suite.flights}
-    judged = check.compare(suite, Found(figures, {}))
-    check.renew(suite, Found(figures, {}), "fuzzed")
-    return [check.table(judged), check.markdown(judged), check.junit(judged)]
+    result = check.compare(suite, Found(figures, {}))
+    check_baseline.renew(suite, Found(figures, {}), "fuzzed")
+    return [check_report.table(result), check_report.markdown(result), check_report.junit(result)]
 
 
 def _manifest(file: Path, out: Path) -> object:

@@ -14,8 +14,8 @@ import pytest
 
 from ahrs_sim.cli import main
 from ahrs_sim.errors import CheckError, InputError
-from ahrs_sim.runs import check
-from ahrs_sim.runs.check import Found
+from ahrs_sim.runs import check, check_baseline, check_report, check_suite
+from ahrs_sim.runs.check_baseline import Found
 from ahrs_sim.scenario import load
 from ahrs_sim.scenario.shipped import scenario_dir
 
@@ -38,12 +38,12 @@ Values = dict[str, list[float]]
 
 
 @pytest.fixture
-def suite(tmp_path: Path) -> check.Suite:
+def suite(tmp_path: Path) -> check_suite.Suite:
     """A suite of one short flight with a baseline that says 1 deg, and 2 deg of heading."""
     path = tmp_path / "mine.toml"
     path.write_text(SUITE)
-    loaded = check.load(str(path))
-    check.renew(loaded, found(), "first")
+    loaded = check_suite.load(str(path))
+    check_baseline.renew(loaded, found(), "first")
     return loaded
 
 
@@ -59,17 +59,17 @@ def found(change: Callable[[Values], object] = lambda values: None) -> Found:
     return Found({"sway": {"ekf": other, "ckf": dict(values)}}, {})
 
 
-def verdicts(suite: check.Suite, change: Callable[[Values], object]) -> dict[str, str]:
+def results(suite: check_suite.Suite, change: Callable[[Values], object]) -> dict[str, str]:
     result = check.compare(suite, found(change))
     return {row.figure: row.result for row in result.rows if row.estimator == "ekf"} | {"passed": str(result.passed)}
 
 
-def test_nothing_has_changed(suite: check.Suite) -> None:
-    assert set(verdicts(suite, lambda v: None).values()) == {"same", "True"}
+def test_nothing_has_changed(suite: check_suite.Suite) -> None:
+    assert set(results(suite, lambda v: None).values()) == {"same", "True"}
 
 
 @pytest.mark.parametrize(
-    ("name", "now", "verdict"),
+    ("name", "now", "expected"),
     [
         ("all.tilt", [1.2, 1.3, 1.1], "worse"),
         ("all.tilt", [0.8, 0.9, 0.7], "better"),
@@ -85,14 +85,14 @@ def test_nothing_has_changed(suite: check.Suite) -> None:
         ("turning.tilt", [1.0, 1.0, 1.0], "new"),
     ],
 )
-def test_verdicts(suite: check.Suite, name: str, now: list[float], verdict: str) -> None:
-    result = verdicts(suite, lambda v: v.update({name: now}))
-    assert result[name] == verdict
-    assert result["passed"] == str(verdict not in ("worse", "gone"))
+def test_results(suite: check_suite.Suite, name: str, now: list[float], expected: str) -> None:
+    result = results(suite, lambda v: v.update({name: now}))
+    assert result[name] == expected
+    assert result["passed"] == str(expected not in ("worse", "gone"))
     assert {v for k, v in result.items() if k not in (name, "passed")} == {"same"}
 
 
-def test_an_estimator_that_is_gone_and_a_flight_that_failed(suite: check.Suite) -> None:
+def test_an_estimator_that_is_gone_and_a_flight_that_failed(suite: check_suite.Suite) -> None:
     less = found()
     del less.figures["sway"]["ckf"]
     result = check.compare(suite, less)
@@ -100,13 +100,13 @@ def test_an_estimator_that_is_gone_and_a_flight_that_failed(suite: check.Suite) 
     assert {r.result for r in result.rows if r.estimator == "ckf"} == {"gone"}
     failed = check.compare(suite, Found(found().figures, {"sway, seed 2": "crash"}))
     assert not failed.passed
-    assert "crash" in check.table(failed)
+    assert "crash" in check_report.table(failed)
     with pytest.raises(CheckError, match="not renewed: sway, seed 2: crash"):
-        check.renew(suite, Found(found().figures, {"sway, seed 2": "crash"}), "no")
+        check_baseline.renew(suite, Found(found().figures, {"sway, seed 2": "crash"}), "no")
 
 
-def test_renewal_keeps_the_history(suite: check.Suite) -> None:
-    check.renew(suite, found(lambda v: v.update({"all.tilt": [0.5, 0.5, 0.5]})), "a better filter")
+def test_renewal_keeps_the_history(suite: check_suite.Suite) -> None:
+    check_baseline.renew(suite, found(lambda v: v.update({"all.tilt": [0.5, 0.5, 0.5]})), "a better filter")
     kept = json.loads(suite.baseline.read_text())
     assert [h["why"] for h in kept["history"]] == ["first", "a better filter"]
     assert kept["flights"]["sway"]["estimators"]["ekf"]["all.tilt"] == [0.5, 0.5, 0.5]
@@ -114,17 +114,17 @@ def test_renewal_keeps_the_history(suite: check.Suite) -> None:
     assert '"all.tilt": [0.5, 0.5, 0.5],\n' in suite.baseline.read_text(), "a line per figure"
 
 
-def test_forms_of_the_result(suite: check.Suite) -> None:
+def test_forms_of_the_result(suite: check_suite.Suite) -> None:
     result = check.compare(suite, found(lambda v: v.update({"all.tilt": [2.0, 2.1, 1.9]})))
-    text, comment = check.table(result), check.markdown(result)
+    text, comment = check_report.table(result), check_report.markdown(result)
     assert "FAILED" in text
     assert "+1.000" in text
     assert "**worse**" in comment
-    data = json.loads(json.dumps(check.as_json(result), allow_nan=False))
+    data = json.loads(json.dumps(check_report.as_json(result), allow_nan=False))
     assert not data["passed"]
     (row,) = [r for r in data["rows"] if r["result"] == "worse"]
     assert row["change"] == pytest.approx(1.0)
-    xml = ElementTree.fromstring(check.junit(result))
+    xml = ElementTree.fromstring(check_report.junit(result))
     assert (xml.get("tests"), xml.get("failures")) == ("2", "1")
     (failure,) = xml.iter("failure")
     assert "all.tilt" in str(failure.text)
@@ -147,10 +147,10 @@ def test_bad_suites(tmp_path: Path, text: str, word: str) -> None:
     path = tmp_path / "bad.toml"
     path.write_text(text)
     with pytest.raises(InputError, match=word):
-        check.load(str(path))
+        check_suite.load(str(path))
 
 
-def test_bad_baselines(suite: check.Suite) -> None:
+def test_bad_baselines(suite: check_suite.Suite) -> None:
     for content in ("", "{}", "[1", '{"flights": 3, "history": []}'):
         suite.baseline.write_text(content)
         with pytest.raises(InputError, match="not a baseline"):
@@ -177,7 +177,7 @@ def test_the_command_flies_renews_and_passes(tmp_path: Path, capsys: pytest.Capt
 def test_the_standard_suite_has_every_scenario_and_method() -> None:
     import estimators
 
-    suite = check.load()
+    suite = check_suite.load()
     shipped = [load(str(p)) for p in scenario_dir().glob("*.toml")]
     fed = {s.name for s in shipped if s.estimators and "chr" in s.data["suite"] and s.pilot_attitude == "truth"}
     assert {f.run.name for f in suite.flights} >= fed
