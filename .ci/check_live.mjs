@@ -29,7 +29,7 @@ const watch = () => new Promise((resolve) => {
     if (timestamp < clock) throw new Error("the clock goes backwards");
     clock = timestamp;
   });
-  client.on("error", () => {});  // nobody there yet: said by "close", too
+  client.on("error", () => {});  // nobody there yet: "close" reports it, too
   client.on("close", () => resolve(clock > 0n));
 });
 while (!(await watch())) {

@@ -4,7 +4,7 @@
     python benchmarks/replay_speed.py --memory   peak memory with a 60 min log against a 10 min one
 
 Four estimators on a flight of two suites with all instruments: the two navigators, EKF and CKF. The bare loop is
-measured beside every replay, so that machines can be told apart. The kernels are compiled before.
+measured beside every replay, to compare machines. The kernels are compiled before.
 """
 
 import argparse

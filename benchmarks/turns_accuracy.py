@@ -111,7 +111,7 @@ After the colon: what an estimator uses besides gyro and accelerometer; two ante
 """
 
 NOTES = """
-## Honesty, drawn
+## Consistency, drawn
 
 ![Errors in the estimator's own three sigma, and NEES in its 95 % bounds](consistency.png)
 
@@ -140,7 +140,7 @@ The goals were set on a prototype with its own sensors; the grades here say what
 | velocity of GNSS | | 0.18 / 0.10 | |
 | all | 1.07 / 1.40 | 0.61 / 0.63 | 0.92 / 1.62 |
 
-* **`air-ins`** believes the airspeed: V w is its whole centripetal acceleration, and an airspeed that is k too large
+* **`air-ins`** trusts the airspeed: V w is its whole centripetal acceleration, and an airspeed that is k too large
   banks it by k sin cos of the bank, 0.25 deg per percent at 30 degrees. The grade's pitot (4 % of pressure, 2 % place
   of the ports, 3 Pa) is good to 2.4 %. States for the airspeed's scale and direction were tried and made it worse (they
   trade with the accelerometer's bias); no setting of its noise improved the tilt by more than 3 % (seeds 1 to 3).
@@ -155,7 +155,7 @@ The goals were set on a prototype with its own sensors; the grades here say what
 * **More states for the same sensors**: `ins21` with the six misalignments of the gyro as states too (27 in all; tried
   on seeds 1 to 8, whole flights, CHR, not kept) came from 0.65 / 0.72 to 0.59 / 0.63, and no setting of its noises,
   changed by itself, makes both better by more than 3 %. That is where this set of states ends, not where the sensors
-  do: what they allow is said by the Cramer-Rao bound of the whole set of errors, not by what was tried.
+  do: what they allow is given by the Cramer-Rao bound of the whole set of errors, not by what was tried.
 * **NIS**: what wanders in a fix over a minute is in the estimated place (`position_time`), field and baseline count
   once a second, and the measurements keep the noise from one to the next. The airspeed of `air-ins` stays below 1: its
   noise is the incidence and sideslip that it does not measure, which change slowly.
@@ -241,7 +241,7 @@ def summary(flown: dict[int, list[dict[str, Any]]], key: str) -> tuple[float, fl
     return tilt, heading, worst / tilt, mean([r["nees"] for r in rows]), mean([r["nis"] for r in rows])
 
 
-def verdict(found: tuple[float, ...], goal: tuple[float, float], bounds: tuple[float, float]) -> str:
+def outcome(found: tuple[float, ...], goal: tuple[float, float], bounds: tuple[float, float]) -> str:
     """What is met and what is not."""
     tilt, heading, worst, nees, nis = found
     missed = [name for name, value, most in (("tilt", tilt, goal[0]), ("heading", heading, goal[1])) if value > most]
@@ -261,23 +261,23 @@ def lines(flown: dict[int, list[dict[str, Any]]]) -> list[str]:
             "| | tilt / heading | x the bound | goal | worst seed | NEES | NIS | |",
             "|---|---|---|---|---|---|---|---|",
         ]
-        for key, (told, _, goals, bounds) in ROWS.items():
+        for key, (title, _, goals, bounds) in ROWS.items():
             found = summary(flown, f"{key}-{suite}")
             if found is None:
                 continue
-            goal, judged = "", ""
+            goal, met = "", ""
             if key == "paper":
-                goal, judged = "above 15 in tilt", "shown" if found[0] > 15.0 else "not shown"
+                goal, met = "above 15 in tilt", "shown" if found[0] > 15.0 else "not shown"
             if goals:
                 asked = goals[SUITES.index(suite)]
-                goal, judged = f"{asked[0]:g} / {asked[1]:g}", verdict(found, asked, bounds)
+                goal, met = f"{asked[0]:g} / {asked[1]:g}", outcome(found, asked, bounds)
             made.append(
                 f"| {told} | {found[0]:.2f} / {found[1]:.2f} | {times_bound(flown, key, suite)} | {goal} "
                 f"| {found[2]:.2f} | {found[3]:.3g} "
                 f"| {found[4]:.2g} | {judged} |"
             )
         for name in PEERS:
-            for key, told in ((name, f"{name}, raw"), (f"{name}-air", f"{name}, accelerometer corrected by airspeed")):
+            for key, title in ((name, f"{name}, raw"), (f"{name}-air", f"{name}, accelerometer corrected by airspeed")):
                 if (found := summary(flown, f"{key}-{suite}")) is not None:
                     made.append(f"| {told} | {found[0]:.2f} / {found[1]:.2f} | | | {found[2]:.2f} | | | |")
         for key, aids in BOUNDS.items():

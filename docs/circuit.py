@@ -84,10 +84,10 @@ def picture(log: Path) -> None:
     grid = figure.add_gridspec(2, 2, width_ratios=[2.2, 1])
     roll, tilt, track = (figure.add_subplot(g) for g in (grid[0, 0], grid[1, 0], grid[:, 1]))
     roll.plot(truth.t, np.degrees(attitude.euler(truth.q_nb)[:, 0]), color="black", lw=1.5, label="truth")
-    for (name, told), color in zip(SHOWN.items(), ("tab:red", "tab:orange", "tab:blue"), strict=True):
+    for (name, title), color in zip(SHOWN.items(), ("tab:red", "tab:orange", "tab:blue"), strict=True):
         e = estimates[name]
         errors = metrics.attitude_errors(e.q_nb, e.down_b, attitude.interpolate(truth.t, truth.q_nb, e.t))
-        roll.plot(e.t, np.degrees(attitude.euler(e.q_nb)[:, 0]), color=color, lw=0.8, label=told)
+        roll.plot(e.t, np.degrees(attitude.euler(e.q_nb)[:, 0]), color=color, lw=0.8, label=title)
         tilt.semilogy(e.t, np.degrees(errors[:, 3]), color=color, lw=0.8)
     roll.set_ylabel("roll, deg")
     tilt.set_ylabel("tilt error, deg")

@@ -12,7 +12,7 @@ import numpy as np
 from ahrs_sim.log.mcap.cdr import Definitions, message_dtype, parse_definitions, short_name
 
 LONGEST_S = 7 * 86400.0
-"""s that a flight or a recording may last: whoever makes grids of time need not believe more."""
+"""Longest flight or recording, s: a limit for whoever makes grids of time."""
 
 _DEFINITIONS = """
 MSG: builtin_interfaces/Time

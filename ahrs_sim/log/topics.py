@@ -290,7 +290,7 @@ INSTRUMENTS: dict[str, tuple[type[Record], Route]] = {
 """Block type and topic of each instrument of a suite; the topic goes behind `/<suite>`."""
 
 RECEIVED = ("imu", "mag", "fix", "velocity", "heading", "air")
-"""Instruments that estimators listen to."""
+"""Instruments whose records estimators use."""
 
 STATUS: dict[str, Route] = {
     instrument: Route(topic, "ahrs_sim_msgs/msg/SensorStatus", FRD, about, fields)
@@ -316,7 +316,7 @@ STATE = Route(
     "/state",
     "ahrs_sim_msgs/msg/EstimatorState",
     NED,
-    "Everything that an estimator says, one message per IMU sample.",
+    "All estimates with their uncertainties, one message per IMU sample.",
     {
         "status": "status",
         "orientation": "q_nb",

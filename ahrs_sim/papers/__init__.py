@@ -34,7 +34,7 @@ Figure = float | str | None
 _WIDTH = 118
 
 
-class Verdict(StrEnum):
+class Outcome(StrEnum):
     """What became of a claim."""
 
     REPRODUCED = "reproduced"
@@ -51,7 +51,7 @@ class Claim:
     paper: Figure
     ours: Figure
     unit: str = ""
-    verdict: Verdict = Verdict.OWN
+    outcome: Outcome = Outcome.OWN
     reason: str = ""  # needed when the claim does not hold
     runs: int = 1  # of the Monte Carlo behind `ours`
 
@@ -78,7 +78,7 @@ class Reproduction:
     def text(self) -> str:
         """A table for people, with the conditions above and the reasons below it."""
         reasons: list[str] = []
-        rows = [("", "paper", "ours", "unit", "runs", "verdict")]
+        rows = [("", "paper", "ours", "unit", "runs", "outcome")]
         for claim in self.claims:
             mark = ""
             if claim.reason:
@@ -86,19 +86,19 @@ class Reproduction:
                     reasons.append(claim.reason)
                 mark = f" [{reasons.index(claim.reason) + 1}]"
             figures = (_figure(claim.paper), _figure(claim.ours), claim.unit)
-            rows.append((claim.what, *figures, str(claim.runs), f"{claim.verdict}{mark}"))
+            rows.append((claim.what, *figures, str(claim.runs), f"{claim.outcome}{mark}"))
         widths = [max(len(row[i]) for row in rows) for i in range(6)]
         lines = [f"{self.name}: {self.title}", *_wrapped(self.source), *_wrapped(self.conditions), ""]
-        for what, paper, ours, unit, runs, verdict in rows:
+        for what, paper, ours, unit, runs, outcome in rows:
             line = f"{what:{widths[0]}}  {paper:>{widths[1]}}  {ours:>{widths[2]}}  {unit:{widths[3]}}"
-            lines.append(f"{line}  {runs:>{widths[4]}}  {verdict}".rstrip())
+            lines.append(f"{line}  {runs:>{widths[4]}}  {outcome}".rstrip())
         for number, reason in enumerate(reasons, 1):
             lines += _wrapped(f"[{number}] {reason}", indent=4)
         return "\n".join(lines)
 
 
-def judge(paper: float, ours: float, tolerance: float = 0.25) -> Verdict:
-    """Verdict on a figure of which less is better (an error, a time).
+def outcome_of(paper: float, ours: float, tolerance: float = 0.25) -> Outcome:
+    """Compare a figure of which less is better (an error, a time) with the paper's.
 
     Args:
         paper: the paper's figure, NaN when the paper says that it failed.
@@ -107,15 +107,15 @@ def judge(paper: float, ours: float, tolerance: float = 0.25) -> Verdict:
             many runs, which percentile, or what their plots were read from.
     """
     if math.isnan(paper):
-        return Verdict.REPRODUCED if math.isnan(ours) else Verdict.BETTER
+        return Outcome.REPRODUCED if math.isnan(ours) else Outcome.BETTER
     if ours < (1.0 - tolerance) * paper:
-        return Verdict.BETTER
-    return Verdict.REPRODUCED if ours <= (1.0 + tolerance) * paper else Verdict.NOT
+        return Outcome.BETTER
+    return Outcome.REPRODUCED if ours <= (1.0 + tolerance) * paper else Outcome.NOT
 
 
-def holds(claim: bool) -> Verdict:
-    """Verdict on a claim that is true or false."""
-    return Verdict.REPRODUCED if claim else Verdict.NOT
+def holds(claim: bool) -> Outcome:
+    """Outcome of a claim that is true or false."""
+    return Outcome.REPRODUCED if claim else Outcome.NOT
 
 
 def names() -> list[str]:
@@ -139,7 +139,7 @@ def run(name: str, quick: bool = False) -> Reproduction:
 
     Args:
         name: see `names`.
-        quick: with a tenth of the Monte Carlo runs or less, to see that it works; the verdicts are then not worth much.
+        quick: with a tenth of the Monte Carlo runs or less, to see that it works; the outcomes are then not worth much.
 
     Raises:
         InputError: no such paper.

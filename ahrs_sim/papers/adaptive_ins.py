@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_sim.papers import Claim, Reproduction, Verdict, holds, judge
+from ahrs_sim.papers import Claim, Outcome, Reproduction, holds, outcome_of
 from ahrs_sim.papers.bench import Measured, fly, measure, time_until, turned
 from ahrs_sim.papers.fuzzy import words
 
 RUNS = 4
 STILL, LENGTH, SETTLED = 30.0, 300.0, 20.0
-"""s: standing, driving, and the first part of the drive that is not judged."""
+"""s: standing, driving, and the first part of the drive that does not count."""
 
 _SUITE = {"grade": "road_mems"}
 _METHODS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -94,14 +94,14 @@ def reproduce(quick: bool = False) -> Reproduction:
             f"Country road with bends and hills at 15 +- 4 m/s, rough, {LENGTH:g} s after {STILL:g} s of standing, "
             "100 Hz, velocity error 0.02 m/s. Satellites 7 to 9, in every second half-minute 5 (course instead of "
             "antennas) and for 10 s 3 (inertial only). IMU and receiver of a road vehicle's grade, a stand-in. Nine "
-            f"states, gyro bias taken out at rest. Judged from {SETTLED:g} s after the start of the drive on."
+            f"states, gyro bias taken out at rest. Evaluated from {SETTLED:g} s after the start of the drive on."
         ),
         claims=claims,
     )
 
 
 def _errors(drive: Measured, method: str, **settings: Any) -> np.ndarray:
-    """Errors (n, 3) of roll, pitch, heading in deg while judged."""
+    """Errors (n, 3) of roll, pitch, heading in deg that count."""
     estimates = drive.estimate(method, **settings)
     return drive.errors(estimates)[estimates.t >= STILL + SETTLED, :3]
 
@@ -164,5 +164,5 @@ def _from_afar(drives: list[Measured]) -> list[Claim]:
 
 
 def _claim(what: str, paper: float, ours: float, reason: str, runs: int) -> Claim:
-    verdict = judge(paper, ours)
-    return Claim(what, paper, ours, "deg", verdict, "" if verdict == Verdict.REPRODUCED else reason, runs)
+    outcome = outcome_of(paper, ours)
+    return Claim(what, paper, ours, "deg", outcome, "" if outcome == Outcome.REPRODUCED else reason, runs)

@@ -10,7 +10,7 @@ import numpy as np
 from ahrs_sim import attitude
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.evaluation import metrics
-from ahrs_sim.papers import Claim, Reproduction, Verdict, holds
+from ahrs_sim.papers import Claim, Outcome, Reproduction, holds
 from ahrs_sim.papers.bench import Flown, Measured, fly, measure, rms, thinned, time_first, time_until, turned
 from ahrs_sim.papers.fuzzy import words
 from estimators.errors import SettingError
@@ -28,7 +28,7 @@ _CHR, _SBG = {"grade": "chr_6dm"}, {"grade": "sbg_ig500"}
 _EQUAL = (
     "While they track, the covariance is small and all three compute the same estimate, with airspeed within a "
     "hundredth of a degree (rows below); an order there may be, but of that size. What makes the error is the model: "
-    "an accelerometer in a turn is no plumb line, and each filter believes it with the R of the ground."
+    "an accelerometer in a turn is no plumb line, and each filter trusts it with the R of the ground."
 )
 _REFERENCE = (
     "The reference of the paper is a filter of the same model on better sensors: it makes the same error in turns. "
@@ -41,7 +41,7 @@ _ENGINE = (
 )
 _PEER = (
     "Yamagishi and Jing, lightweight cubature filter for AHRS, IEEE Access 14, 2026: a quaternion without gyro bias, "
-    "directions of gravity and field; package turbo-ckf with the variances of its example. Raw it believes the "
+    "directions of gravity and field; package turbo-ckf with the variances of its example. Raw it trusts the "
     "accelerometer in turns, too."
 )
 _SPEED = (
@@ -52,7 +52,7 @@ _SPEED = (
 _ERRATIC = (
     "What decides is the noise of the first samples: a start one sample later fails in other runs, one with P0 larger "
     "by 1e-12 in the same ones. A run that fails has given bias and body rate, of which the gyro shows the "
-    "sum alone, hundreds of deg/s of opposite sign. Told how well the bias is known (row below), the filters with "
+    "sum alone, hundreds of deg/s of opposite sign. Given how well the bias is known (row below), the filters with "
     "points find the attitude; the EKF's slope at a quaternion of no meaning does not lead there."
 )
 _FAR = (
@@ -90,9 +90,9 @@ def against(unit: Measured, reference: Measured, **settings: Any) -> dict[str, f
     found = {}
     for name in _FILTERS:
         estimates = unit.estimate(f"marg-{name}", **settings)
-        judged = estimates.t >= SETTLED
-        q_ref = attitude.interpolate(best.t[there], best.q_nb[there], estimates.t[judged])
-        difference = metrics.attitude_errors(estimates.q_nb[judged], estimates.down_b[judged], q_ref)
+        counted = estimates.t >= SETTLED
+        q_ref = attitude.interpolate(best.t[there], best.q_nb[there], estimates.t[counted])
+        difference = metrics.attitude_errors(estimates.q_nb[counted], estimates.down_b[counted], q_ref)
         found[name] = rms(np.degrees(difference[:, 4]))
     return found
 
@@ -209,9 +209,9 @@ def _times(unit: Measured, repeats: int) -> list[Claim]:
     steps = len(unit.samples) - 4000
     for over, under, paper in (("ckf", "cdkf", 35.85 / 43.20), ("ekf", "ckf", 17.94 / 35.85)):
         ratio = found[over] / found[under]
-        verdict = holds(ratio < 0.9)  # nearer to one it is a draw
+        outcome = holds(ratio < 0.9)  # nearer to one it is a draw
         text = f"Table 1, CPU time {over.upper()} over {under.upper()}"
-        claims.append(Claim(text, paper, ratio, "", verdict, _SPEED, repeats))
+        claims.append(Claim(text, paper, ratio, "", outcome, _SPEED, repeats))
     each = words([1e6 * found[name] / steps for name in _FILTERS])
     claims.append(Claim("  a step, EKF, CKF, CDKF", None, each, "us", runs=repeats))
     return claims
@@ -244,7 +244,7 @@ def _order(chr_units: list[Measured], sbg_units: list[Measured], runs: int) -> l
     return claims
 
 
-def _ordered(found: dict[str, float]) -> Verdict:
+def _ordered(found: dict[str, float]) -> Outcome:
     """CKF < CDKF < EKF by more than a hundredth, else it is no order."""
     return holds(found["ckf"] < 0.99 * found["cdkf"] and found["cdkf"] < 0.99 * found["ekf"])
 
@@ -323,24 +323,24 @@ def _starts(runs: int) -> list[Claim]:
     units = [measure(flown, _CHR, seed) for seed in range(1, runs + 1)]
     claims = []
     for degrees in (90.0, 175.0):
-        for variance, told in ((None, "heading sigma told"), (1.0, "P = I on q")):
+        for variance, known in ((None, "heading sigma given"), (1.0, "P = I on q")):
             for every in (1, 5, 20):
                 found = from_far([thinned(unit, every) for unit in units], degrees, variance)
                 text = " ".join(f"{_time(f.first)}/{_time(f.last)}" for f in found.values())
-                what = f"Off by {degrees:g} deg, {told}, {100 // every} Hz: first/for good within 5, EKF, CKF, CDKF"
+                what = f"Off by {degrees:g} deg, {known}, {100 // every} Hz: first/for good within 5, EKF, CKF, CDKF"
                 claims.append(Claim(what, None, text, "s", reason=_FAR, runs=runs))
     found = from_far(units, 175.0, None)
     text = words([float(np.median(f.bias)) for f in found.values()])
-    claims.append(Claim("  bias estimate moved by, sigma told, 100 Hz", None, text, "deg/s", reason=_FAR, runs=runs))
+    claims.append(Claim("  bias estimate moved by, sigma given, 100 Hz", None, text, "deg/s", reason=_FAR, runs=runs))
     text = " ".join(f"{_time(f.first)}/{_time(f.last)}" for f in from_far(units, 175.0, None, hold_bias=True).values())
     claims.append(Claim("  the same with the bias held: first/for good", None, text, "s", reason=_FAR, runs=runs))
     text = " ".join(f"{int(np.sum(f.last < 10.0))}/{runs}" for f in from_far(units, 175.0, 100.0).values())
     what = "Off by 175 deg, P = 100 I on q, 100 Hz: runs for good within 5 deg in 10 s"
     claims.append(Claim(what, None, text, "", reason=_LUCK, runs=runs))
     good = from_nothing(units)
-    verdict = holds(all(n == runs for n in good.values()))
+    outcome = holds(all(n == runs for n in good.values()))
     claims.append(Claim("Start of the paper (P0 = 1e4 I), R and Q from the ground: runs within 5 deg", "all",
-                        _share(good, runs), "", verdict, _ERRATIC, runs))  # fmt: skip
+                        _share(good, runs), "", outcome, _ERRATIC, runs))  # fmt: skip
     for what, later in (
         ("  the same, begun a sample later", {"skip": 1}),
         ("  the same, bias known to 0.6 deg/s", {"bias_variance": math.radians(0.6) ** 2}),

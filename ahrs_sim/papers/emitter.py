@@ -17,7 +17,7 @@ import numpy as np
 
 from ahrs_sim.errors import InputError
 from ahrs_sim.evaluation import metrics
-from ahrs_sim.papers import Claim, Reproduction, Verdict, bench, holds, judge
+from ahrs_sim.papers import Claim, Outcome, Reproduction, bench, holds, outcome_of
 from ahrs_sim.scenario import seeds
 from estimators.locate import EmitterLocator, Looks
 from estimators.models.emitter import PHASE, RATE, Emitter, look, look_noise
@@ -243,7 +243,7 @@ def heading_cost(
     """Locate the paper's emitter with the heading of some attitude estimator.
 
     Each run takes another stretch of the history as the heading error of the paper's straight flight. The locator is
-    told the RMS of the errors, as a data sheet would; it does not know that they are correlated in time, and a constant
+    given the RMS of the errors, as by a data sheet; it does not know that they are correlated in time, and a constant
     error it cannot see at all: that turns the whole picture. It keeps every bearing as a term (`every=1`): with the
     paper's six the phase locks on a wrong one, an error that a bad heading, whose phase is of no use, would be spared.
 
@@ -276,8 +276,8 @@ def heading_cost(
     else:
         rates = np.interp(at, t, rate)
     sigma, rate_sigma = float(np.sqrt(np.mean(errors**2))), float(np.sqrt(np.mean(rates**2)))
-    told = {"heading_sigma": sigma, "heading_rate_sigma": rate_sigma}
-    real = locate_all(experiment, runs, seed=seed, heading_error=errors, rate_error=rates, **told)
+    stated = {"heading_sigma": sigma, "heading_rate_sigma": rate_sigma}
+    real = locate_all(experiment, runs, seed=seed, heading_error=errors, rate_error=rates, **stated)
     return HeadingCost(
         heading_deg=math.degrees(sigma),
         rate_deg=math.degrees(rate_sigma),
@@ -372,10 +372,10 @@ def _tables(runs: int) -> list[Claim]:
         for figure, (phase, rate) in zip(paper, cases[table], strict=True):
             experiment = Experiment(phase_deg=phase, phase_rate_deg=rate, measured=measured)
             time = times[measured, phase, rate] = locate_all(experiment, runs).time()
-            verdict = judge(figure, time)
-            why = "" if verdict == Verdict.REPRODUCED else reason
+            outcome = outcome_of(figure, time)
+            why = "" if outcome == Outcome.REPRODUCED else reason
             what = f"Table {table}, {_WORDS[measured]}, {phase:g} deg, {rate:g} deg/s: time"
-            claims.append(Claim(what, figure, time, "s", verdict, why, runs))
+            claims.append(Claim(what, figure, time, "s", outcome, why, runs))
         what = f"Cramer-Rao bound, {_WORDS[measured]}"
         ideal = f"  the same without own-ship errors, {_WORDS[measured]}"
         claims.append(Claim(f"  {what}", None, _list(bound_times(measured, cases[table])), "s"))
@@ -396,9 +396,9 @@ def _tables(runs: int) -> list[Claim]:
         Claim("Rate and phase sooner than phase alone, by at least", 7.0, gain, "s", holds(gain > 0), "", runs)
     )
     gain = max(times["rate", 10.0, rate] - times["both", 10.0, rate] for rate in (0.3, 0.5))
-    verdict = holds(gain > 2.0)
-    reason = "" if verdict == Verdict.REPRODUCED else _WHOLE_CYCLES
-    claims.append(Claim("Rate and phase sooner than rate alone, by up to", 5.0, gain, "s", verdict, reason, runs))
+    outcome = holds(gain > 2.0)
+    reason = "" if outcome == Outcome.REPRODUCED else _WHOLE_CYCLES
+    claims.append(Claim("Rate and phase sooner than rate alone, by up to", 5.0, gain, "s", outcome, reason, runs))
     return claims
 
 
@@ -432,7 +432,7 @@ def _figures(runs: int) -> list[Claim]:
     same = holds(every.at(30.0) > 0.75 * six.at(30.0))
     claims.append(
         Claim("Section 2.1, all terms instead of six: error after 30 s", f"not much less ({six.at(30.0):.2g})",
-              every.at(30.0), "%R", same, "" if same == Verdict.REPRODUCED else _LOCKED, fewer)
+              every.at(30.0), "%R", same, "" if same == Outcome.REPRODUCED else _LOCKED, fewer)
     )  # fmt: skip
 
     later = [usual.at(t) for t in (10.0, 20.0, 30.0)]

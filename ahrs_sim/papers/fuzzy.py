@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_sim.papers import Claim, Reproduction, Verdict, holds, judge
+from ahrs_sim.papers import Claim, Outcome, Reproduction, holds, outcome_of
 from ahrs_sim.papers.bench import Flown, fly, measure
 from ahrs_sim.world.gravity import STANDARD
 
 RUNS = 5
 STILL, LENGTH, SETTLED = 24.0, 240.0, 10.0
-"""s: standing for the alignment, the experiment, and its beginning that is not judged."""
+"""s: standing for the alignment, the experiment, and its beginning that does not count."""
 
 _SWAY = {
     "motion": {"kind": "sway", "still_s": STILL},
@@ -59,7 +59,7 @@ _STEADY = (
 )
 _LINEAR = (
     "Noise a thousandfold is beyond the field itself at CHR grade: innovations are then larger than what a "
-    "linearisation stands, and the standard filter, which believes them, loses the heading. At the noise printed the "
+    "linearisation stands, and the standard filter, which trusts them, loses the heading. At the noise printed the "
     "thousandfold is still below that of any real magnetometer."
 )
 
@@ -80,7 +80,7 @@ def regime(which: str) -> list[dict[str, Any]]:
 def errors(flown: Flown, suite: dict[str, Any], walk: float, which: str, runs: int) -> dict[str, np.ndarray]:
     """Per method: RMS (runs, 3) and largest (runs, 3) error in deg of roll, pitch, heading, as (2, runs, 3).
 
-    Of the regime "stepped" the last minute is judged, of the others all but the first seconds.
+    Of the regime "stepped" the last minute counts, of the others all but the first seconds.
     """
     found: dict[str, list[np.ndarray]] = {name: [] for name in _METHODS}
     for seed in range(1, runs + 1):
@@ -114,10 +114,10 @@ def reproduce(quick: bool = False) -> Reproduction:
 
 def _limit(what: str, paper: float, ours: float, runs: int) -> Claim:
     """A claim that an error stays below the paper's limit; far below is another experiment."""
-    verdict = judge(paper, ours, 0.0)
-    if verdict == Verdict.BETTER and ours > 0.25 * paper:
-        verdict = Verdict.REPRODUCED
-    return Claim(what, paper, ours, "deg", verdict, "" if verdict == Verdict.REPRODUCED else _TOO_GOOD, runs)
+    outcome = outcome_of(paper, ours, 0.0)
+    if outcome == Outcome.BETTER and ours > 0.25 * paper:
+        outcome = Outcome.REPRODUCED
+    return Claim(what, paper, ours, "deg", outcome, "" if outcome == Outcome.REPRODUCED else _TOO_GOOD, runs)
 
 
 def _read(flown: Flown, reading: str, runs: int) -> list[Claim]:
@@ -142,7 +142,7 @@ def _read(flown: Flown, reading: str, runs: int) -> list[Claim]:
         more = holds(ratio > 1.25)
         claims.append(
             Claim(f"{begin}{text}: largest error, standard over adaptive", "> 1.7", ratio, "", more,
-                  "" if more == Verdict.REPRODUCED else _STEADY, runs)
+                  "" if more == Outcome.REPRODUCED else _STEADY, runs)
         )  # fmt: skip
         claims.append(_gain(f"{begin}{text}: RMS standard over adaptive, heading", found, runs))
     thousand = errors(flown, suite, walk, "thousand", runs)
@@ -152,16 +152,16 @@ def _read(flown: Flown, reading: str, runs: int) -> list[Claim]:
 
 def _gain(what: str, found: dict[str, np.ndarray], runs: int) -> Claim:
     standard, adaptive = (float(np.sqrt(np.mean(found[name][0][:, 2] ** 2))) for name in _METHODS)
-    verdict = holds(adaptive < standard)
-    return Claim(what, "> 1", standard / adaptive, "", verdict, "" if verdict == Verdict.REPRODUCED else _STEADY, runs)
+    outcome = holds(adaptive < standard)
+    return Claim(what, "> 1", standard / adaptive, "", outcome, "" if outcome == Outcome.REPRODUCED else _STEADY, runs)
 
 
 def _thousand(what: str, found: dict[str, np.ndarray], runs: int) -> Claim:
     worst = [float(found[name][1][:, 2].max()) for name in _METHODS]
-    verdict = holds(worst[0] > 30.0 and worst[1] < 0.5 * worst[0])
+    outcome = holds(worst[0] > 30.0 and worst[1] < 0.5 * worst[0])
     return Claim(
         f"{what}: largest heading error, standard, adaptive", "diverges, converges", f"{worst[0]:.2g} {worst[1]:.2g}",
-        "deg", verdict, _LINEAR, runs,
+        "deg", outcome, _LINEAR, runs,
     )  # fmt: skip
 
 

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim import attitude
-from ahrs_sim.papers import Claim, Reproduction, Verdict, holds, judge
+from ahrs_sim.papers import Claim, Outcome, Reproduction, holds, outcome_of
 from ahrs_sim.papers.bench import Flown, Measured, fly, measure
 from ahrs_sim.papers.fuzzy import words
 
 RUNS = 6
 STILL, LENGTH, SETTLED = 30.0, 300.0, 60.0
-"""s: standing, driving, and the first part of the drive that is not judged."""
+"""s: standing, driving, and the first part of the drive that does not count."""
 
 BIAS = (-0.0818, 0.0529)
 """deg/s, x and y of the paper's gyro."""
@@ -36,7 +36,7 @@ _PAPER = {"SEKF": (0.130, 0.141, 0.5), "EKF": (0.440, 0.876, 4.0)}
 _METHODS = {"SEKF": "sekf", "EKF": "tilt-ekf"}
 
 _MAX = (
-    "How far the plain filter is thrown depends on how much it believes the accelerometer, of which the paper prints "
+    "How far the plain filter is thrown depends on how much it trusts the accelerometer, of which the paper prints "
     "nothing, nor the speed of the car: with sigma 0.2 g instead of our 0.05 g (below) it is thrown less than half as "
     "far. That it is thrown in every bend, and the switched one is not, does not depend on it."
 )
@@ -66,38 +66,38 @@ def drive(seed: int, **motion: float) -> Flown:
 
 
 def errors(measured: Measured, method: str, **settings: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Errors (n, 2) of pitch and roll in deg while judged, and of the bias (2,) in deg/s, mean of the last 100 s."""
+    """Errors (n, 2) of pitch and roll in deg that count, and of the bias (2,) in deg/s, mean of the last 100 s."""
     estimates = measured.estimate(method, **{"bias_start": "zero", **settings})
-    judged = estimates.t >= STILL + SETTLED
+    counted = estimates.t >= STILL + SETTLED
     end = estimates.t >= STILL + LENGTH - 100.0
     bias = np.degrees(estimates.gyro_bias[end, :2]).mean(axis=0) - true_bias(measured, estimates.t[end])
-    return measured.errors(estimates)[judged][:, [1, 0]], bias
+    return measured.errors(estimates)[counted][:, [1, 0]], bias
 
 
 def true_bias(measured: Measured, t: np.ndarray) -> np.ndarray:
     """What the gyro had (2,), deg/s, x and y, on average at `t`: the bias given, and the unit's own errors."""
-    truth, said = measured.flown.truth, measured.samples
-    at = np.searchsorted(said.t, t)
+    truth, sensed = measured.flown.truth, measured.samples
+    at = np.searchsorted(sensed.t, t)
     return np.array(
-        [np.degrees(np.mean(said.gyro_b[at, k] - np.interp(t, truth.t, truth.rate_ib_b[:, k]))) for k in range(2)]
+        [np.degrees(np.mean(sensed.gyro_b[at, k] - np.interp(t, truth.t, truth.rate_ib_b[:, k]))) for k in range(2)]
     )
 
 
 def plumb(measured: Measured) -> Measured:
     """The same with gravity alone in the accelerometer, and noise of 1 mg."""
-    truth, said = measured.flown.truth, measured.samples
-    down_b = attitude.down(attitude.interpolate(truth.t, truth.q_nb, said.t))
+    truth, sensed = measured.flown.truth, measured.samples
+    down_b = attitude.down(attitude.interpolate(truth.t, truth.q_nb, sensed.t))
     noise = 0.01 * np.random.default_rng(0).standard_normal(down_b.shape)
     accel_b = noise - measured.flown.site.gravity * down_b
-    return replace(measured, samples=replace(said, accel_b=accel_b))
+    return replace(measured, samples=replace(sensed, accel_b=accel_b))
 
 
 def interrupted(measured: Measured, on: float = 10.5, off: float = 12.5) -> Measured:
-    """The same with an accelerometer that nobody believes for `off` s after every `on` s, as in the bends."""
-    said = measured.samples
-    accel_b = said.accel_b.copy()
-    accel_b[(said.t > STILL) & ((said.t - STILL) % (on + off) > on)] *= 1.1
-    return replace(measured, samples=replace(said, accel_b=accel_b))
+    """The same with an accelerometer that no filter trusts for `off` s after every `on` s, as in the bends."""
+    sensed = measured.samples
+    accel_b = sensed.accel_b.copy()
+    accel_b[(sensed.t > STILL) & ((sensed.t - STILL) % (on + off) > on)] *= 1.1
+    return replace(measured, samples=replace(sensed, accel_b=accel_b))
 
 
 def _implied(runs: int) -> list[Claim]:
@@ -149,7 +149,7 @@ def reproduce(quick: bool = False) -> Reproduction:
         claims.append(_shown(f"{name}, steady speed", steady, method))
     claims.append(_shown("SEKF, gyro bias taken at rest", few, "sekf", bias_start="aligned"))
     claims.append(_shown("SEKF, both", steady, "sekf", bias_start="aligned"))
-    claims.append(_shown("EKF, accelerometer believed less (sigma 0.2 g)", few, "tilt-ekf", accel_sigma=0.2))
+    claims.append(_shown("EKF, accelerometer trusted less (sigma 0.2 g)", few, "tilt-ekf", accel_sigma=0.2))
     claims += _learned(steady)
     for what, settings in (
         ("turning only (b = 1)", {"switch_accel": 1.0}),
@@ -167,10 +167,10 @@ def reproduce(quick: bool = False) -> Reproduction:
             f"Laps of a 400 m track at 5 +- 0.8 m/s (implied, see [1]) and at 8 +- 3 m/s, {LENGTH:g} s after "
             f"{STILL:g} s of standing; IMU of a road vehicle's "
             "grade (a stand-in: the paper's has no public data sheet), gyro bias x -0.0818, y 0.0529 deg/s from the "
-            "beginning and unknown to the filters. Both filters learn the bias, judged against what the gyro had on "
+            "beginning and unknown to the filters. Both filters learn the bias, compared with what the gyro had on "
             "average; defaults: a = 2 deg/s, b = 0.01 g. "
-            f"Judged from {SETTLED:g} s after the start of the drive on. The paper's table says variance, in degrees: "
-            "taken as standard deviation."
+            f"Evaluated from {SETTLED:g} s after the start of the drive on. The paper's table says variance, in "
+            "degrees: taken as standard deviation."
         ),
         claims=claims,
     )
@@ -204,5 +204,5 @@ def _shown(what: str, drives: list[Measured], method: str, **settings: Any) -> C
 
 
 def _claim(what: str, paper: float, ours: float, reason: str, runs: int, unit: str = "deg") -> Claim:
-    verdict = judge(paper, ours)
-    return Claim(what, paper, ours, unit, verdict, "" if verdict == Verdict.REPRODUCED else reason, runs)
+    outcome = outcome_of(paper, ours)
+    return Claim(what, paper, ours, unit, outcome, "" if outcome == Outcome.REPRODUCED else reason, runs)

@@ -267,7 +267,7 @@ def of_log(path: Path, topics: Sequence[str] = (), map_file: Path | None = None)
             fields = _SENSORS.get(kind)
             if fields is None:
                 raise InputError(f"{path}: {topic}: is a {kind}; give an Imu or MagneticField topic")
-            said = log.metadata.get(f"suite {topic.split('/')[1]}") if "/" in topic else None
+            unit = log.metadata.get(f"suite {topic.split('/')[1]}") if "/" in topic else None
             for field, sensor in fields.items():
                 values = np.column_stack([array[field][axis] for axis in "xyz"])
                 values = values[array[f"{field}_covariance"][:, 0] != -1.0]
@@ -275,7 +275,7 @@ def of_log(path: Path, topics: Sequence[str] = (), map_file: Path | None = None)
                     continue
                 found = evenly(stamps(array), array["log_time"], _known(array, field), f"{path}: {topic}")
                 table = allan_table(found.values, found.rate, unit=_SHOWN[sensor][0])
-                grade = specified(said, sensor) if said else None
+                grade = specified(unit, sensor) if unit else None
                 channels.append(Channel(topic, sensor, table, grade, found.left_out))
     if not channels:
         raise InputError(f"{path}: {', '.join(topics)}: no values that change; there is no noise to analyse")
@@ -314,17 +314,17 @@ def evenly(header_ns: np.ndarray, log_ns: np.ndarray, values: np.ndarray, where:
     Raises:
         InputError: no stretch of 20 samples.
     """
-    told = []
+    notes = []
     t = header_ns
     if len(t) and abs(float(np.median(header_ns - log_ns))) > _OTHER_CLOCK_NS:
         t = log_ns
-        told.append("stamps are of another clock, times of the log are used")
+        notes.append("stamps are of another clock, times of the log are used")
     known = np.isfinite(values).all(axis=1)
     if not known.all():
-        told.append(f"{int((~known).sum())} samples without values")
+        notes.append(f"{int((~known).sum())} samples without values")
     back = np.flatnonzero(np.diff(t) < -_STEP_NS) + 1
     if len(back):
-        told.append(f"the clock steps back {len(back)} times, first by {(t[back[0] - 1] - t[back[0]]) / 1e9:.6g} s")
+        notes.append(f"the clock steps back {len(back)} times, first by {(t[back[0] - 1] - t[back[0]]) / 1e9:.6g} s")
     best, rate = np.empty(0, np.int64), math.nan
     counts = np.zeros(4, int)  # late, repeated, gaps, lost
     for part in np.split(np.arange(len(t)), back):
@@ -335,15 +335,15 @@ def evenly(header_ns: np.ndarray, log_ns: np.ndarray, values: np.ndarray, where:
             best, rate = longest, its_rate
     for count, text in zip(counts, ("came late", "came twice", "gaps", "samples lost in them"), strict=True):
         if count:
-            told.append(f"{count} {text}")
+            notes.append(f"{count} {text}")
     if len(best) < 20:
-        why = f" ({', '.join(told)})" if told else ""
+        why = f" ({', '.join(notes)})" if notes else ""
         raise InputError(
             f"{where}: of {len(t)} samples no stretch of 20 without gaps{why}; the Allan deviation needs even samples"
         )
     if len(best) < len(t):
-        told.append(f"the longest even stretch is {len(best)} of {len(t)} samples")
-    return Even(values[best], rate, ", ".join(told))
+        notes.append(f"the longest even stretch is {len(best)} of {len(t)} samples")
+    return Even(values[best], rate, ", ".join(notes))
 
 
 def _stretches(
@@ -416,9 +416,9 @@ def text(channels: Sequence[Channel]) -> str:
             lines.append(f"  {c.left_out}")
         for row in c.table.rows(c.specified):
             scale, name, meaning = shown[row["coefficient"]]
-            said = f"   specified {row['specified'] * scale:8.4g}" if "specified" in row else ""
+            nominal = f"   specified {row['specified'] * scale:8.4g}" if "specified" in row else ""
             fitted = f"{row['fitted'] * scale:10.4g} +- {row['sigma'] * scale:<8.2g}"
-            lines.append(f"  {row['axis']}  {fitted} {name:14s}{said}   {meaning}")
+            lines.append(f"  {row['axis']}  {fitted} {name:14s}{nominal}   {meaning}")
     return "\n".join(lines)
 
 

@@ -17,7 +17,7 @@ LONGEST = 0.5
 """s: no lag is looked for beyond."""
 
 WINDOW = 1.0
-"""s over which the motion of an attitude is taken: slow errors (a bias, a turn believed level) are no lag."""
+"""s over which the motion of an attitude is taken: slow errors (a bias, a turn taken for level flight) are no lag."""
 
 LEAST_RATE = math.radians(1.0)
 """rad/s, RMS of the true motion: with less there is nothing to tell a lag by."""

@@ -237,8 +237,8 @@ def parse(
 def _add_catalogue(data: dict[str, Any], where: str) -> tuple[str, ...]:
     """Take `catalogue = "SUITE"` as every method there is on that suite, but for those the scenario names itself.
 
-    `METHOD-SUITE`, and `METHOD-air-SUITE` with the airspeed for what believes the accelerometer otherwise. Methods
-    whose package is not installed are left out with a note.
+    `METHOD-SUITE`, and `METHOD-air-SUITE` with the airspeed for what does not correct the accelerometer itself.
+    Methods whose package is not installed are left out with a note.
     """
     if "catalogue" not in data or not isinstance(data.get("estimator", {}), dict):
         return ()

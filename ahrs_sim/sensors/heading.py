@@ -3,7 +3,7 @@
     heading = atan2(east, north) of C_nb e + (wander + white) / L,    e: the baseline's direction
 
 The error of the phase difference, some mm, over the baseline's length L is the error in rad; most of it is multipath
-and wanders. The baseline is not quite where the unit believes it is (one draw a flight). Needs six satellites;
+and wanders. The baseline is misaligned by an angle unknown to the unit (one draw a flight). Needs six satellites;
 sometimes the ambiguities are fixed to wrong integers and the heading is off by about a wavelength over L until that is
 noticed.
 """

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ahrs_sim import attitude, cli, papers
-from ahrs_sim.papers import Claim, Reproduction, Verdict, bench, fuzzy, switched
+from ahrs_sim.papers import Claim, Outcome, Reproduction, bench, fuzzy, switched
 
 
 def test_a_motion_is_measured_and_estimated_without_a_log():
@@ -53,14 +53,14 @@ def test_the_stepped_regime_covers_every_minute():
 
 
 def test_the_page_and_the_command(monkeypatch, capsys, tmp_path):
-    made = Reproduction("x", "title", "source", "conditions", [Claim("a", 1.0, 1.0, "", Verdict.REPRODUCED)])
+    made = Reproduction("x", "title", "source", "conditions", [Claim("a", 1.0, 1.0, "", Outcome.REPRODUCED)])
     monkeypatch.setattr(papers, "run_all", lambda chosen, quick, workers: iter([made]))
     page = tmp_path / "papers.md"
     assert cli.main(["papers", "fuzzy", "--markdown", str(page)]) == 0
     assert "x: title" in capsys.readouterr().out
     assert page.read_text().startswith("# The papers, reproduced") and "## x" in page.read_text()
     assert cli.main(["papers", "fuzzy", "--quick", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)[0]["claims"][0]["verdict"] == "reproduced"
+    assert json.loads(capsys.readouterr().out)[0]["claims"][0]["outcome"] == "reproduced"
     assert cli.main(["papers", "fuzy"]) == 2
     assert "did you mean 'fuzzy'" in capsys.readouterr().err
 
@@ -93,13 +93,13 @@ def test_quick_reproduction(name):
     json.loads(json.dumps(result.as_json(), allow_nan=False))
     assert len(result.claims) > 5
     for claim in result.claims:
-        assert claim.verdict in (Verdict.REPRODUCED, Verdict.OWN) or claim.reason, claim.what
+        assert claim.outcome in (Outcome.REPRODUCED, Outcome.OWN) or claim.reason, claim.what
     if name == "fuzzy":
         found = {c.what: c for c in result.claims if c.what.startswith("As variances, (")}
-        assert found["As variances, (i) constant noise, adaptive: heading, at most"].verdict == Verdict.REPRODUCED
-        assert found["As variances, (ii) variance x20, adaptive: heading, at most"].verdict == Verdict.REPRODUCED
+        assert found["As variances, (i) constant noise, adaptive: heading, at most"].outcome == Outcome.REPRODUCED
+        assert found["As variances, (ii) variance x20, adaptive: heading, at most"].outcome == Outcome.REPRODUCED
         thousand = [c for what, c in found.items() if "(iii)" in what]
-        assert [c.verdict for c in thousand] == [Verdict.REPRODUCED]
+        assert [c.outcome for c in thousand] == [Outcome.REPRODUCED]
     if name == "cubature":
         shaken = [str(c.ours) for c in result.claims if c.what.startswith("R from the ground")]
         tilt = [float(text.split("/")[0]) for text in shaken]
@@ -107,7 +107,7 @@ def test_quick_reproduction(name):
     if name == "switched":
         implied = {c.what: c for c in result.claims if c.what.startswith("5 +- 0.8 m/s, SEKF")}
         assert (
-            implied["5 +- 0.8 m/s, SEKF: largest error"].verdict != Verdict.NOT
+            implied["5 +- 0.8 m/s, SEKF: largest error"].outcome != Outcome.NOT
         )  # the reason for a bias that is not learned
         left = {c.what.partition("RMS: ")[2]: float(str(c.ours).split()[0]) for c in result.claims}
         assert max(left["standing"], left["standing, refused as long as in the bends"]) < 0.02

@@ -6,7 +6,7 @@ import pytest
 
 from ahrs_sim import papers
 from ahrs_sim.errors import InputError
-from ahrs_sim.papers import Claim, Reproduction, Verdict, judge
+from ahrs_sim.papers import Claim, Outcome, Reproduction, outcome_of
 from ahrs_sim.papers.emitter import Experiment, bound, bound_times, heading_cost, locate_all, time_below
 from estimators.models.emitter import Emitter, look, look_noise
 
@@ -130,7 +130,7 @@ def test_reproduction():
     assert "Table 1" in text and "Cramer-Rao" in text and all(len(line) < 180 for line in text.splitlines())
     json.loads(json.dumps(result.as_json(), allow_nan=False))
     for claim in result.claims:
-        assert claim.verdict in (Verdict.REPRODUCED, Verdict.OWN) or claim.reason
+        assert claim.outcome in (Outcome.REPRODUCED, Outcome.OWN) or claim.reason
 
 
 def test_papers():
@@ -139,19 +139,19 @@ def test_papers():
         papers.run("emiter")
 
 
-def test_judge():
-    assert judge(20.0, 22.0) == Verdict.REPRODUCED
-    assert judge(20.0, 10.0) == Verdict.BETTER
-    assert judge(20.0, 30.0) == Verdict.NOT
-    assert judge(20.0, math.nan) == Verdict.NOT
-    assert judge(math.nan, 5.0) == Verdict.BETTER
-    assert judge(math.nan, math.nan) == Verdict.REPRODUCED
+def test_outcome_of():
+    assert outcome_of(20.0, 22.0) == Outcome.REPRODUCED
+    assert outcome_of(20.0, 10.0) == Outcome.BETTER
+    assert outcome_of(20.0, 30.0) == Outcome.NOT
+    assert outcome_of(20.0, math.nan) == Outcome.NOT
+    assert outcome_of(math.nan, 5.0) == Outcome.BETTER
+    assert outcome_of(math.nan, math.nan) == Outcome.REPRODUCED
 
 
 def test_rendering():
     claims = [
-        Claim("a", 1.0, math.nan, "s", Verdict.NOT, "because", 3),
-        Claim("b", "falls", "3 2 1", "%", Verdict.REPRODUCED),
+        Claim("a", 1.0, math.nan, "s", Outcome.NOT, "because", 3),
+        Claim("b", "falls", "3 2 1", "%", Outcome.REPRODUCED),
         Claim("c", None, 0.123456, "%", reason="because"),
     ]
     result = Reproduction("x", "title", "source", "conditions", claims)

@@ -39,7 +39,7 @@ from ahrs_sim.log.mcap.container import MAGIC, MESSAGE_HEAD, RECORD_HEAD
 T = TypeVar("T")
 
 MAX_CHUNK = 256 << 20
-"""Bytes of one chunk or record, uncompressed, that are still believed."""
+"""Largest chunk or record that is read, bytes uncompressed; a larger size is taken for damage."""
 
 _LAST_NS = 2**63 - 1
 _FOOTER = RECORD_HEAD.size + 20

@@ -454,7 +454,7 @@
 
   const name = (e) => { const dot = element("span", { className: "dot" }); dot.style.background = e.color(); return element("td", {}, dot, e.label); };
 
-  function verdict(e) {
+  function badge(e) {
     const { nees, inside } = e.summary;
     if (nees == null) return element("span", { className: "badge", textContent: "not given" });
     if (nees > 3) return element("span", { className: `badge ${nees > 30 ? "bad" : "warn"}`, textContent: `overconfident ×${digits(Math.sqrt(nees))}` });
@@ -476,7 +476,7 @@
     const body = element("tbody");
     for (const e of estimators) {
       const s = e.summary;
-      body.append(element("tr", { className: "first" }, name(e), element("td", { className: "l" }, verdict(e)),
+      body.append(element("tr", { className: "first" }, name(e), element("td", { className: "l" }, badge(e)),
         ...measures.flatMap((m) => kinds.map((k, i) => {
           const key = `${m}_${k}_deg`;
           return element("td", { textContent: digits(s[key]), className: (i ? "" : "gap ") + wide(m, k) + " " + (s[key] != null && s[key] <= best(key) && estimators.length > 1 ? "best" : "") });
