@@ -46,7 +46,7 @@ REFERENCES = ("/truth/imu", "/truth/state", "/truth/air", REFERENCE.topic)
 
 @dataclass
 class Recording:
-    """What a replay needs to know of a recording."""
+    """A recording as a replay needs it."""
 
     site: Site
     sensors: Mapping[str, SensorInfo]  # by suite
@@ -158,7 +158,7 @@ def replay(
 
 
 def _cut(recording: Recording, skip: float, until: float) -> Recording:
-    """The recording without what was measured outside of the span (s)."""
+    """Drop what was measured outside of the span (s)."""
     if skip >= recording.duration:
         raise InputError(f"--skip {skip:g}: the recording has {recording.duration:.1f} s")
     if skip > 0.0 or until < math.inf:
@@ -252,7 +252,7 @@ def evaluate(
 
 
 def is_flight(log: FlightReader) -> bool:
-    """Whether it is a log of ours, which knows its scenario."""
+    """Test for a log of ours, which has its scenario."""
     return SCENARIO in log.attachments and "site" in log.metadata
 
 
@@ -287,7 +287,7 @@ def of_flight(
 
 
 def _known(log: FlightReader, name: str, cls: Any) -> Any:
-    """A `Site` or `SensorInfo` from its metadata record (`pipeline.exactly`)."""
+    """Read a `Site` or `SensorInfo` from its metadata record (`pipeline.exactly`)."""
     try:
         values = {k: tuple(map(float, v.split())) for k, v in log.metadata[name].items()}
         plain = {f: getattr(cls, f, None) for f in cls.__dataclass_fields__}
@@ -395,7 +395,7 @@ class _CarryOver:
             writer.metadata(name, values)
 
     def records(self, suite: str, block: SuiteBlock) -> None:
-        """Records that stand for messages which cannot go along, and the reference."""
+        """Write records in place of messages that cannot be carried over, and the reference."""
         for instrument, records in block.items():
             is_reference = instrument == "reference"
             channel = self._reference if is_reference else self._records.get((suite, instrument))

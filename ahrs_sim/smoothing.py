@@ -1,4 +1,4 @@
-"""Smoothing at the end of a replay: what each estimator that can be smoothed was given is kept until then."""
+"""Smoothing at the end of a replay, of estimators that can be smoothed; their samples are kept until then."""
 
 from collections.abc import Iterator, Mapping
 

@@ -5,8 +5,8 @@
     evaluator.add("ekf", estimates)
 
 Truth and estimates come in blocks of their own lengths and rates, and sensors deliver late. What the reference has not
-reached yet waits; then it is interpolated, and both go on as a `Comparison`. What becomes of it, a message of a log,
-a table, a plot or a sum of squares, is the business of who asked for it.
+reached yet waits; then it is interpolated, and both go on as a `Comparison`, of which the caller makes messages of a
+log, a table, a plot or a sum of squares.
 """
 
 import math

@@ -58,7 +58,7 @@ there while the attitude does not."""
 
 
 def attitude_errors(q_nb: np.ndarray, down_b: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Errors (n, 5) in rad, in the order of MEASURES: signed for the Euler angles, never negative for the last two.
+    """Compute errors (n, 5) in rad, in the order of MEASURES: signed for Euler angles, never negative for the last two.
 
     Roll and heading are NaN where the reference is `STEEP`.
 

@@ -84,6 +84,6 @@ def constant_rotations(q: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray
 
 
 def _mean(q: np.ndarray) -> np.ndarray:
-    """The rotation (4,) closest to all of `q` (n, 4)."""
+    """Find the rotation (4,) closest to all of `q` (n, 4)."""
     mean: np.ndarray = np.linalg.eigh(q.T @ q)[1][:, -1]
     return mean

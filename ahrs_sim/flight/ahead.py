@@ -39,7 +39,7 @@ def end_with_parent() -> None:
 
 
 def _fly(scenario: Scenario, rows: int, pipe: Connection) -> None:
-    """The other process: what the flight is, then its blocks; the pipe's own size keeps it from running away."""
+    """Run the worker process: send flight metadata, then blocks; the pipe's buffer holds it back."""
     end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the user's Ctrl-C is for the process that writes the log
     with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # the reader has gone: killed, or stopped

@@ -1,6 +1,6 @@
 """The reference part of `logs/README.md`: every topic, type, field, unit and frame, from what the code writes.
 
-`python -m ahrs_sim.log.describe logs/README.md` renews it; a test says when that is due.
+`python -m ahrs_sim.log.describe logs/README.md` renews it; a test fails when that is due.
 """
 
 import re

@@ -6,7 +6,7 @@
         log.estimates("ekf", estimates)
         log.advance(t)
 
-What goes where, and how exactly, is in `ahrs_sim.log.topics`.
+Topics and their precision are in `ahrs_sim.log.topics`.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -57,7 +57,7 @@ HOLD_S = 0.5
 class EstimateTopics:
     """Writes what estimators report under `/est/NAME`: state, attitude for viewers, and errors.
 
-    To be made before the log is started.
+    Make it before the log is started.
 
     Args:
         writer: of the log.
@@ -130,7 +130,7 @@ def nanoseconds(epoch_ns: int, t: np.ndarray) -> np.ndarray:
 
 
 class FlightLog:
-    """The log of a flight being flown; see `LogWriter` for how it behaves as a context manager and when it fails.
+    """Log of a flight being flown; context manager and errors as of `LogWriter`.
 
     Args:
         path: name of the finished log.
@@ -319,7 +319,7 @@ _MEDIA = {".toml": "application/toml", ".xml": "application/xml", ".txt": "text/
 
 
 def _offset_n(lla: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """Positions (n, 3) m in the NED frame at `origin` (3,).
+    """Compute positions (n, 3) m in the NED frame at `origin` (3,).
 
     `wgs84.offset_n`, but in sums that round alike however many rows there are (a matrix product does not): the log's
     bytes may not depend on the length of a block.

@@ -1,9 +1,9 @@
-"""Reading the log of a flight back as the blocks it was made of.
+"""Reading the log of a flight back into the blocks that were written.
 
     with FlightReader("flight.mcap") as log:
         truth, imu, estimates = log.truth(), log.record("chr", "imu"), log.estimates("ekf")
 
-They come back bit for bit, but for what `ahrs_sim.log.topics` says is rounded.
+Values are identical to the last bit, except for the columns that `ahrs_sim.log.topics` rounds.
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -36,7 +36,7 @@ _TYPES = {route.topic: route.type_name for route in (*TRUTH, REFERENCE, SETPOINT
 
 
 class FlightReader(LogReader):
-    """A log of ours as the blocks it was made of.
+    """A log of ours, read as the blocks that were written.
 
     Start and end are seconds of flight in log time; `end` itself is left out.
     """
@@ -59,7 +59,7 @@ class FlightReader(LogReader):
         return [t[len(ends[0]) : -len(ends[1])] for t in self.topics if t.startswith(ends[0]) and t.endswith(ends[1])]
 
     def _plan(self, topic: str) -> list[int]:
-        """As any reader's; topics of the truth and of estimators are what we write, and known types as we know them."""
+        """Plan as any reader does, but check that our topics and types have the form that we write."""
         numbers = super()._plan(topic)
         found, expected = self._type_name(numbers[0]), _TYPES.get(topic)
         if topic.startswith("/est/") and topic.endswith(STATE.topic):
@@ -71,7 +71,7 @@ class FlightReader(LogReader):
         return numbers
 
     def seconds(self, ns: np.ndarray) -> np.ndarray:
-        """Time of flight (s) of times in ns since 1970.
+        """Convert times in ns since 1970 to time of flight (s).
 
         Raises:
             InputError: one is further from the beginning than any flight is long.

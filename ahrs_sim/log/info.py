@@ -1,4 +1,4 @@
-"""What is in a log: any MCAP file, ours or not."""
+"""Contents of a log: any MCAP file, ours or not."""
 
 import datetime
 from pathlib import Path
@@ -112,12 +112,12 @@ def _together(topics: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _form(topic: dict[str, Any]) -> str:
-    """How its messages are written, and their schema where it is another form."""
+    """Name the encoding of a topic's messages, and of their schema where it differs."""
     message, schema = topic["encoding"] or "-", topic["schema_encoding"]
     return f"({message}, {schema})" if schema and schema != message else f"({message})"
 
 
 def _one_line(value: str) -> str:
-    """Other people's texts, fit for a terminal."""
+    """Make a text from a file fit for a terminal: one line, no control characters."""
     line = "".join(c if c.isprintable() else "?" for c in " ".join(value.split()))
     return line if len(line) <= 100 else line[:97] + "..."

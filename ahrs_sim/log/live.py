@@ -1,8 +1,8 @@
 """`ahrs-sim fly SCENARIO --live`: the messages of a log over WebSocket while it is being written.
 
-What viewers get is what the file gets, in the same order: topics, `ros2msg` schemas, CDR, log times. It is sent when
-its time has come on a clock that runs `rate` times as fast as a real one; the flight waits for it, so it stays a few
-seconds ahead and no more. Foxglove and Lichtblick connect with *Open connection, Foxglove WebSocket*.
+Viewers get what the file gets, in the same order: topics, `ros2msg` schemas, CDR, log times. Messages are sent at
+their log time on a clock that runs `rate` times as fast as a real one; the flight waits, so that it is a few seconds
+ahead at most. Foxglove and Lichtblick connect with *Open connection, Foxglove WebSocket*.
 """
 
 import socket
@@ -27,7 +27,7 @@ _REPEAT_NS = 10**9
 
 
 class Live:
-    """A server of one flight; `with Live(...) as live: pipeline.fly(..., live=live)`.
+    """WebSocket server of one flight: `with Live(...) as live: pipeline.fly(..., live=live)`.
 
     Args:
         port: on this machine; 0: any that is free, see `port`.
@@ -57,10 +57,10 @@ class Live:
             raise _taken(port, error) from None
 
     def begin(self, topics: Sequence["Topic"]) -> None:
-        """Open the server, with all that there will be: who is there too early may miss a topic.
+        """Open the server with all topics: a client that connected earlier could miss one.
 
         Raises:
-            InputError: somebody has taken the port meanwhile.
+            InputError: another program has taken the port meanwhile.
         """
         for topic in topics:
             schema = self._foxglove.Schema(name=topic.type_name, encoding=topic.schema_encoding, data=topic.schema)
@@ -80,7 +80,7 @@ class Live:
             raise _taken(self.port, error) from None
 
     def send(self, channels: np.ndarray, log_time_ns: np.ndarray, messages: Sequence[memoryview]) -> None:
-        """Send messages, each when its time has come.
+        """Send messages, each at its time.
 
         Args:
             channels: (n,) numbers of their topics.
@@ -102,12 +102,12 @@ class Live:
                 if channel.topic() == _LATCHED:
                     self._latched, self._repeated_ns = (channel, message), int(log_time_ns[i])
             if end > at:
-                self._say(int(log_time_ns[end - 1]))
+                self._report_time(int(log_time_ns[end - 1]))
             at = max(at, end)
             if at < len(messages):
                 time.sleep(_TICK_S)
 
-    def _say(self, now_ns: int) -> None:
+    def _report_time(self, now_ns: int) -> None:
         """Broadcast the current time and re-send the latched message every second."""
         self._server.broadcast_time(now_ns)
         if self._latched and now_ns - self._repeated_ns >= _REPEAT_NS:

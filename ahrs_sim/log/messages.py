@@ -218,7 +218,7 @@ string text # one line
 
 @functools.cache
 def _texts() -> dict[str, str]:
-    """Definition text by `package/Type`."""
+    """Collect definition texts by `package/Type`."""
     parts = [part.partition("\n") for part in _DEFINITIONS.split("MSG: ")[1:]]
     return {name.strip(): body for name, _, body in parts}
 
@@ -249,7 +249,7 @@ LATER = ("gyro_effective_bias", "accel_effective_bias", "position_covariance", "
 
 
 def difference(type_name: str, dtype: np.dtype[Any]) -> str:
-    """Say which field of a type is missing or of another kind in somebody else's definition of it.
+    """Name the field of a type that is missing or of another kind in a foreign definition of it.
 
     Args:
         type_name: `package/msg/Type`.

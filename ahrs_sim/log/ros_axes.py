@@ -45,7 +45,7 @@ def vectors(v_b: np.ndarray) -> np.ndarray:
 
 
 class RosTwins:
-    """Writes the twins; to be made before the log is started."""
+    """Writes the twins; make it before the log is started."""
 
     def __init__(self, writer: LogWriter) -> None:
         self._writer = writer

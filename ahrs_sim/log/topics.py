@@ -1,7 +1,7 @@
-"""What of a flight lives where in its log: every topic with its type, its frame and the columns that go there.
+"""Layout of a flight's log: every topic with its type, its frame and the columns that go there.
 
-Numbers are stored as they are (float64), so they come back bit for bit; of the estimates covariances, sigmas,
-innovations and adaptation are float32. Frames are `map_ned` and `base_link_frd`, tied to the `map` and `base_link` of
+Numbers are stored as float64, unchanged to the last bit; of the estimates covariances, sigmas, innovations and
+adaptation are float32. Frames are `map_ned` and `base_link_frd`, tied to the `map` and `base_link` of
 ROS by `/tf_static`.
 """
 

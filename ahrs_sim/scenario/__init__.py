@@ -1,4 +1,4 @@
-"""What is to be flown: a TOML file read and checked, the seeds of its random streams, the shipped files.
+"""Scenarios: TOML files read and checked, seeds of their random streams, the shipped files.
 
 scenario        Scenario: `load` a file, `parse` data that is already there
 component       a table of a scenario; the estimator it describes

@@ -24,7 +24,7 @@ class Component:
     code: str = ""  # from outside, that its method may run: what a gate has let pass
 
     def table(self) -> Table:
-        """The settings for checked access."""
+        """Wrap the settings for checked access."""
         return Table(dict(self.settings), self.where)
 
 

@@ -1,4 +1,4 @@
-"""A scenario: one TOML file that says all about a flight.
+"""A scenario: one TOML file that describes a whole flight.
 
 `load(name_or_path)` finds the file (a path, or the name of a shipped scenario), follows `extends`, applies what the
 command line overrides, checks every key and returns a `Scenario`. Angles are degrees in the file, radians from here on.
@@ -37,7 +37,7 @@ _OWN, _FOREIGN = Gate(ANY), Gate()
 
 @dataclass(frozen=True)
 class Start:
-    """Where the flight begins."""
+    """Place, speed and attitude at the start of a flight."""
 
     latitude: float  # rad, geodetic
     longitude: float  # rad
@@ -62,7 +62,7 @@ class Gust:
 
 @dataclass(frozen=True)
 class Wind:
-    """Steady wind, and what is on top of it."""
+    """Steady wind, turbulence and gusts."""
 
     speed: float  # m/s
     from_: float  # rad, true bearing it comes from
@@ -112,14 +112,14 @@ class Scenario:
         return [f"{f.where}: at_s = {at:g}: never happens, the flight ends at {end:.0f} s" for f, at in late]
 
     def toml(self) -> str:
-        """The effective scenario as TOML: flying this text again gives the same log."""
+        """Write the effective scenario as TOML; flying this text gives the same log again."""
         import tomli_w
 
         return tomli_w.dumps(self.data)
 
 
 def find(name: str) -> Path:
-    """The file of a scenario given as a path or by the name of a shipped one.
+    """Find the file of a scenario given as a path or by the name of a shipped one.
 
     Raises:
         InputError: there is neither.
@@ -178,7 +178,7 @@ def parse(
     pilot: str | None = None,
     gate: Gate = _FOREIGN,
 ) -> Scenario:
-    """`load` for TOML data that is already there, e.g. from the scenario kept in a log.
+    """Check TOML data that is already there, e.g. the scenario kept in a log, as `load` does a file.
 
     Of code from outside only that of `estimators` and what `gate` lets pass may run.
     """
@@ -235,7 +235,7 @@ def parse(
 
 
 def _add_catalogue(data: dict[str, Any], where: str) -> tuple[str, ...]:
-    """Take `catalogue = "SUITE"` as every method there is on that suite, but for those the scenario names itself.
+    """Expand `catalogue = "SUITE"` into every method on that suite that the scenario does not name itself.
 
     `METHOD-SUITE`, and `METHOD-air-SUITE` with the airspeed for what does not correct the accelerometer itself.
     Methods whose package is not installed are left out with a note.
@@ -267,7 +267,7 @@ def _add_catalogue(data: dict[str, Any], where: str) -> tuple[str, ...]:
 
 
 def _merged(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """The file's data laid over those of the scenario it extends: tables are merged, everything else replaced."""
+    """Lay a file's data over those of the scenario that it extends: merge tables, replace everything else."""
     table = read_toml(path)
     parent = table.text("extends", "")
     data = {k: v for k, v in table.data.items() if k != "extends"}
@@ -283,7 +283,7 @@ def _merged(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
 
 
 def _chosen(data: dict[str, Any], where: str) -> dict[str, Any]:
-    """Keep of the estimators, inherited ones included, those that `estimators = [...]` of the file names."""
+    """Keep the estimators, inherited ones included, that `estimators = [...]` of the file names."""
     if "estimators" not in data:
         return data
     names = Table(data, where).texts("estimators")
@@ -316,7 +316,7 @@ def _selected(tables: dict[str, Any], names: Sequence[str], where: str) -> dict[
 
 
 def short_name(method: str) -> str:
-    """A name for the estimator of a method: that of the file for a library or an FMU."""
+    """Make the name of a method's estimator: for a library or an FMU that of its file."""
     if method.startswith(("lib:", "fmu:")):
         method = Path(method.partition(":")[2]).stem
     elif ".py:" in method:
@@ -388,7 +388,7 @@ def _named(table: Table, kind: str) -> dict[str, Table]:
 
 
 def _check_links(scenario: Scenario) -> None:
-    """Everything that names something else names something that is there."""
+    """Check that suites, estimators and faults which others name exist."""
     suites = [s.name for s in scenario.suites]
     for component in scenario.estimators:
         table = component.table()

@@ -8,11 +8,11 @@ import numpy as np
 
 
 def generator(seed: int, *name: str) -> np.random.Generator:
-    """The generator of the stream `name` (e.g. `"suite", "chr", "gyro"`) under `seed` (>= 0)."""
+    """Make the generator of the stream `name` (e.g. `"suite", "chr", "gyro"`) under `seed` (>= 0)."""
     key = "\0".join(name).encode()
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=tuple(key))))
 
 
 def integer(seed: int, *name: str) -> int:
-    """A 31-bit seed for a generator that is not ours (JSBSim's) under the same rule."""
+    """Draw a 31-bit seed for a generator of another library (JSBSim's) under the same rule."""
     return int(generator(seed, *name).integers(1, 2**31 - 1))

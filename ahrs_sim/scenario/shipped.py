@@ -11,10 +11,10 @@ def _folder(name: str) -> Path:
 
 
 def aircraft_dir() -> Path:
-    """The folder of our own aircraft."""
+    """Find the folder of our own aircraft."""
     return _folder("aircraft")
 
 
 def scenario_dir() -> Path:
-    """The folder of the shipped scenarios."""
+    """Find the folder of the shipped scenarios."""
     return _folder("scenarios")

@@ -4,7 +4,7 @@ table = read_toml(path)                         # Table
 seed = table.integer("seed", 0, minimum=0)
 with_default = table.number("for_s", 10.0, above=0.0)
 needed = table.text("aircraft")                 # no default: missing is an error
-table.close()                                   # keys nobody asked for are errors, with the nearest spelling
+table.close()                                   # keys that were not read are errors, with the nearest spelling
 """
 
 import contextlib
@@ -34,7 +34,7 @@ _REQUIRED: Any = object()
 
 @dataclass(frozen=True)
 class Key:
-    """What a reader asks of one key of a table: the form of its value, and the value without it."""
+    """One key as a reader declares it: form of its value, limits, default."""
 
     form: str  # number, integer, flag, text, choice, vector, date, table, named tables, list of tables, any
     required: bool
@@ -47,7 +47,7 @@ class Key:
 
 
 class Declarations:
-    """The keys that readers ask for while `declaring`, by the place of their table."""
+    """Keys that readers declare while `declaring`, by the place of their table."""
 
     def __init__(self, present: bool) -> None:
         self.tables: dict[str, dict[str, Key]] = {}
@@ -55,13 +55,13 @@ class Declarations:
         self._optional: set[tuple[str, str]] = set()
 
     def asked(self, where: str, key: str) -> bool:
-        """Note that a reader asks whether a key is there: it may be left out."""
+        """Note that a reader tests for a key: it is optional."""
         self._optional.add((where, key))
         self.tables.setdefault(where, {}).setdefault(key, Key("any", False))
         return self.present
 
     def add(self, where: str, key: str, found: Key) -> None:
-        """Note a key; one that is required in one case and not in another is optional."""
+        """Note a key; one that only some readers require is optional."""
         keys = self.tables.setdefault(where, {})
         known = keys.get(key, found)
         optional = (where, key) in self._optional or not (known.required and found.required)
@@ -74,7 +74,7 @@ _declarations: ContextVar[Declarations | None] = ContextVar("declarations", defa
 
 @contextlib.contextmanager
 def declaring(present: bool = True) -> Iterator[Declarations]:
-    """Collect what is asked of tables: in this context a missing key is no error, a fitting value stands for it.
+    """Collect the keys that readers declare; in this context a valid value stands in for a missing key.
 
     Args:
         present: what `Table.has` answers of a missing key: both branches of a reader take two passes.
@@ -99,17 +99,17 @@ class Table:
         self._asked: set[str] = set()
 
     def error(self, key: str, message: str) -> InputError:
-        """An `InputError` about `key` of this table."""
+        """Make an `InputError` about `key` of this table."""
         return InputError(f"{self.where}: {key}: {message}")
 
     def has(self, key: str) -> bool:
-        """Is the key there? Asking makes it known."""
+        """Test for a key and mark it as read."""
         self._asked.add(key)
         made = _declarations.get()
         return key in self.data or (made is not None and made.asked(self.where, key))
 
     def value(self, key: str, default: Any = _REQUIRED) -> Any:
-        """The raw value."""
+        """Read a raw value."""
         return self._value(key, default, Key("any", default is _REQUIRED, default))
 
     def _value(self, key: str, default: Any, asked: Key) -> Any:
@@ -135,7 +135,7 @@ class Table:
         maximum: float = math.inf,
         above: float = -math.inf,
     ) -> float:
-        """A finite float with `minimum <= value <= maximum` and `value > above`."""
+        """Read a finite float with `minimum <= value <= maximum` and `value > above`."""
         value = self._value(key, default, _key("number", default, minimum=minimum, maximum=maximum, above=above))
         if value is default and not isinstance(value, (int, float)):
             return value  # type: ignore[no-any-return]  # a default of None passes through
@@ -148,7 +148,7 @@ class Table:
         return float(value)
 
     def integer(self, key: str, default: Any = _REQUIRED, *, minimum: int = -(2**62), maximum: int = 2**62) -> int:
-        """An int with `minimum <= value <= maximum`."""
+        """Read an int with `minimum <= value <= maximum`."""
         value = self._value(key, default, _key("integer", default, minimum=minimum, maximum=maximum))
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.error(key, f"{value!r} is not a whole number")
@@ -157,14 +157,14 @@ class Table:
         return value
 
     def flag(self, key: str, default: Any = _REQUIRED) -> bool:
-        """`true` or `false`."""
+        """Read `true` or `false`."""
         value = self._value(key, default, _key("flag", default))
         if not isinstance(value, bool):
             raise self.error(key, f"{value!r} is not true or false")
         return value
 
     def text(self, key: str, default: Any = _REQUIRED) -> str:
-        """A string."""
+        """Read a string."""
         return self._text(key, default, _key("text", default))
 
     def _text(self, key: str, default: Any, asked: Key) -> str:
@@ -176,14 +176,14 @@ class Table:
         return value
 
     def choice(self, key: str, choices: Sequence[str], default: Any = _REQUIRED) -> str:
-        """One of `choices`."""
+        """Read one of `choices`."""
         value = self._text(key, default, _key("choice", default, choices=tuple(choices)))
         if value is not default and value not in choices:
             raise self.error(key, f"'{value}' is unknown{nearest(value, choices)}")
         return value
 
     def vector(self, key: str, default: Any = _REQUIRED, *, size: int = 3) -> np.ndarray:
-        """A float array (size,) from a list of finite numbers."""
+        """Read a float array (size,) from a list of finite numbers."""
         value = self._value(key, default, _key("vector", default, size=size))
         if value is default and value is None:
             return value  # type: ignore[return-value]
@@ -195,14 +195,14 @@ class Table:
         return np.array(value, dtype=float)
 
     def texts(self, key: str, default: Any = _REQUIRED) -> list[str]:
-        """A list of strings."""
+        """Read a list of strings."""
         value = self._value(key, default, _key("texts", default))
         if not isinstance(value, list) or not all(isinstance(x, str) for x in value):
             raise self.error(key, f"{value!r} is not a list of texts")
         return value
 
     def date(self, key: str, default: Any = _REQUIRED) -> datetime.datetime:
-        """A date with time; without offset it is UTC."""
+        """Read a date with time; without offset it is UTC."""
         value = self._value(key, default, _key("date", default))
         if not isinstance(value, datetime.datetime):
             raise self.error(key, f"{value!r} is not a date and time like 2026-06-01T10:00:00Z")
@@ -211,7 +211,7 @@ class Table:
         return value if value.tzinfo else value.replace(tzinfo=datetime.UTC)
 
     def table(self, key: str) -> "Table":
-        """A sub-table (empty when absent)."""
+        """Read a sub-table (empty when absent)."""
         return self._table(key, "table")
 
     def _table(self, key: str, form: str) -> "Table":
@@ -221,7 +221,7 @@ class Table:
         return Table(value, f"{self.where}: [{key}]")
 
     def named_tables(self, key: str) -> "dict[str, Table]":
-        """`[key.NAME]` tables by name, in the file's order."""
+        """Read `[key.NAME]` tables by name, in the file's order."""
         tables = self._table(key, "named tables")
         for name, value in tables.data.items():
             if not isinstance(value, dict):
@@ -229,20 +229,20 @@ class Table:
         return {name: Table(value, f"{self.where}: [{key}.{name}]") for name, value in tables.data.items()}
 
     def list_of_tables(self, key: str) -> "list[Table]":
-        """`[[key]]` tables, numbered from 1 in messages."""
+        """Read `[[key]]` tables, numbered from 1 in messages."""
         value = self._value(key, [], Key("list of tables", False))
         if not isinstance(value, list) or not all(isinstance(x, dict) for x in value):
             raise self.error(key, f"is not a list of tables; write [[{key}]]")
         return [Table(x, f"{self.where}: [[{key}]] {i + 1}") for i, x in enumerate(value)]
 
     def rest(self) -> dict[str, Any]:
-        """The keys nobody has asked for yet (now known): settings passed on to somebody who checks them."""
+        """Return the remaining keys, marked as read, for a downstream validator."""
         left = {k: v for k, v in self.data.items() if k not in self._asked}
         self._asked.update(left)
         return left
 
     def close(self) -> None:
-        """Raise `InputError` for the first key nobody asked for."""
+        """Raise `InputError` for the first key that was not read."""
         for key in self.data:
             if key not in self._asked:
                 raise self.error(key, f"unknown key{nearest(key, self._asked)}")
@@ -254,7 +254,7 @@ def _key(form: str, default: Any, **bounds: Any) -> Key:
 
 
 def _fitting(asked: Key) -> Any:
-    """A value that a key of this form accepts."""
+    """Make a value that a key of this form accepts."""
     if asked.form in ("number", "integer"):
         low = max(asked.minimum, asked.above)
         high = min(asked.maximum, max(low + 2.0, 2.0))
@@ -304,7 +304,7 @@ def read_toml(path: Path) -> Table:
 
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
-    """Parse TOML: whoever wrote it, what comes back is shallow and its numbers fit into 64 bits.
+    """Parse TOML from any author; the result has limited depth and numbers of 64 bits.
 
     Raises:
         InputError: it is not TOML, longer than `MAX_TOML`, nested deeper than `MAX_DEPTH`, or a number is too large.

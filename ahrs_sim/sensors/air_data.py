@@ -1,4 +1,4 @@
-"""Air data: two pressures, and what an air data computer makes of them.
+"""Air data: two measured pressures, and the airspeeds that an air data computer derives from them.
 
     impact pressure  qc = p ((1 + 0.2 M^2)^3.5 - 1),  M = V / sqrt(1.4 R T)
     static port      ps = p + day + k qc              k: position error
@@ -21,8 +21,8 @@ from ahrs_sim.flight.truth import Truth
 from ahrs_sim.jit import njit
 from ahrs_sim.sensors.fitting import Fitting
 from ahrs_sim.sensors.grade import figure
+from ahrs_sim.sensors.latency import LatencyBuffer
 from ahrs_sim.sensors.noise import White, gauss_markov
-from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import AirRecord, PressureRecord, Record
 from ahrs_sim.sensors.sampling import Clock, Lag, nanoseconds, pick
 
@@ -34,7 +34,7 @@ VANE_SPEED = 5.0  # m/s: below, a vane does not align itself
 
 @dataclass(frozen=True)
 class AirFigures:
-    """An air data unit; sigmas of one sample, or of one draw a flight."""
+    """Figures of an air data unit; sigmas of one sample, or of one draw a flight."""
 
     rate: float = figure("frequency", 50.0, minimum=0.1)
     latency: float = figure("time", minimum=0.0)
@@ -60,7 +60,7 @@ class AirFigures:
 
 
 class AirData:
-    """The air data unit of a suite: gives records `diff_pressure`, `static_pressure` and `air`."""
+    """Air data unit of a suite: sends records `diff_pressure`, `static_pressure` and `air`."""
 
     records = ("diff_pressure", "static_pressure", "air")
 
@@ -90,15 +90,15 @@ class AirData:
         self._limit = np.array([f.diff_range, np.inf])
         self._quanta = (f.diff_quantum, f.static_quantum)
         kinds = zip((PressureRecord, PressureRecord, AirRecord), self.records, strict=True)
-        self._outboxes = [Outbox(cls, fitting.channel(name), f.latency) for cls, name in kinds]
+        self._buffers = [LatencyBuffer(cls, fitting.channel(name), f.latency) for cls, name in kinds]
 
     def info(self) -> dict[str, Any]:
-        """What `SensorInfo` says of it."""
+        """Return its fields of `SensorInfo`: data sheet figures, SI."""
         # Near the ground, where a sigma of pressure is one of airspeed by dq = rho V dV, V = 20 m/s.
         return {"airspeed": self.figures.diff_noise / (1.225 * 20.0), "airspeed_scale": 0.5 * self.figures.diff_scale}
 
     def drawn(self) -> dict[str, Any]:
-        """The truth of what was drawn, SI."""
+        """Return the errors that were drawn for this flight, SI."""
         return {
             "air_data.diff_bias": self.diff_bias,
             "air_data.static_bias": self.static_bias,
@@ -110,7 +110,7 @@ class AirData:
         }
 
     def sense(self, truth: Truth) -> dict[str, Record]:
-        """Records that arrive within the block."""
+        """Sense a block of the truth; return the records that arrive within it."""
         rows, t, now = self._clock.sample(truth)
         m = len(t)
         pressures, air = np.empty((m, 2)), np.empty((m, 4))
@@ -130,15 +130,15 @@ class AirData:
         _compute(pressures, pick(truth.temperature, rows), self.temperature_bias, air)
         air[:, 2:] = self._vanes(truth, rows, t, air[:, 1])
         ns = nanoseconds(t)
-        diff, static, computed = self._outboxes
+        diff, static, computed = self._buffers
         return {
-            "diff_pressure": diff.post(PressureRecord(ns, ns, pressures[:, 0]), t, now),
-            "static_pressure": static.post(PressureRecord(ns, ns, pressures[:, 1]), t, now),
-            "air": computed.post(AirRecord(ns, ns, air[:, 0], air[:, 1], air[:, 2], air[:, 3]), t, now),
+            "diff_pressure": diff.push(PressureRecord(ns, ns, pressures[:, 0]), t, now),
+            "static_pressure": static.push(PressureRecord(ns, ns, pressures[:, 1]), t, now),
+            "air": computed.push(AirRecord(ns, ns, air[:, 0], air[:, 1], air[:, 2], air[:, 3]), t, now),
         }
 
     def _vanes(self, truth: Truth, rows: slice, t: np.ndarray, airspeed: np.ndarray) -> np.ndarray:
-        """Angle of attack and sideslip (m, 2), rad; NaN when not fitted or too slow."""
+        """Measure angle of attack and sideslip (m, 2), rad; NaN without vanes or below `VANE_SPEED`."""
         m = len(t)
         if not self.figures.vanes:
             return np.full((m, 2), np.nan)
@@ -155,7 +155,7 @@ class AirData:
 
 
 def _share(time: float, dt: float) -> float:
-    """Share of a step that a first-order lag goes towards its input in `dt`."""
+    """Compute the share of a step that a first-order lag covers in `dt` s."""
     return -math.expm1(-dt / time) if time > 0.0 else 1.0
 
 
@@ -165,7 +165,7 @@ def _sense(
     position_error: float, scale: float, diff_bias: float, static_bias: float, noise: np.ndarray, limit: np.ndarray,
     diff_quantum: float, static_quantum: float, pipes: np.ndarray, out: np.ndarray,
 ) -> None:  # fmt: skip
-    """Differential and static pressure (m, 2) as measured, from truth rows (n,)."""
+    """Measure differential and static pressure (m, 2), Pa, from truth rows (n,)."""
     m = 0
     for i in range(p.shape[0]):
         mach2 = airspeed[i] * airspeed[i] / (1.4 * GAS_CONSTANT * temperature[i])
@@ -190,7 +190,7 @@ def _sense(
 
 @njit
 def _compute(pressures: np.ndarray, temperature: np.ndarray, temperature_bias: float, out: np.ndarray) -> None:
-    """Indicated and true airspeed into the first two columns of `out` (m, 4)."""
+    """Compute indicated and true airspeed, m/s, into the first two columns of `out` (m, 4)."""
     for i in range(out.shape[0]):
         q = pressures[i, 0]
         p = pressures[i, 1]

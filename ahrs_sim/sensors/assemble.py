@@ -1,6 +1,6 @@
-"""From records to what an estimator sees: one row per IMU message, slower sensors latched as they arrive.
+"""Assembly of records into the input of estimators: one row per IMU message, slower sensors latched as they arrive.
 
-Used in flight and on replay alike: everything comes from the records' values.
+Used in flight and on replay alike: all values come from the records.
 """
 
 from typing import Any
@@ -31,7 +31,7 @@ _TYPES: dict[str, type[Record]] = {
 class Assembler:
     """Merges the records of one suite by arrival.
 
-    A row of `Samples` holds what had arrived when its IMU message did. A message that says "nothing" (no fix, a heading
+    A row of `Samples` holds what had arrived when its IMU message did. A message without a value (no fix, a heading
     of NaN) makes the latched value NaN and sets no `*_new`.
     """
 
@@ -40,7 +40,7 @@ class Assembler:
         self._imu: Any = ImuRecord(**blank(ImuRecord, 0))
 
     def assemble(self, block: SuiteBlock) -> Samples:
-        """Samples of the IMU messages in `block`; other messages wait for the next of them."""
+        """Make samples of the IMU messages in `block`; other messages wait for the next IMU message."""
         imu: Any = block.get("imu", self._imu)
         arrival = imu.arrival_ns
         seen = {name: latch.update(block.get(name), arrival) for name, latch in self._latches.items()}
@@ -88,7 +88,7 @@ def _seconds(ns: np.ndarray) -> np.ndarray:
 
 
 class Latch:
-    """The last arrived record of one kind at each IMU message."""
+    """Holds the last record of one kind that has arrived at each IMU message."""
 
     def __init__(self, cls: type[Record]) -> None:
         columns = blank(cls, 1)
@@ -97,7 +97,7 @@ class Latch:
         self._count = 1
 
     def update(self, records: Any, arrival: np.ndarray) -> tuple[Any, np.ndarray]:
-        """The latched record at each of the IMU's `arrival` (n,) ns, as one block (n rows), and the `new` mask (n,)."""
+        """Return the record latched at each IMU `arrival` (n,) ns, a block of n rows, and the mask (n,) of new ones."""
         fresh = len(records.stamp_ns) if records is not None else 0
         if fresh:
             self._held = type(records).concatenate([self._held, records])

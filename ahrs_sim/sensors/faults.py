@@ -1,4 +1,4 @@
-"""Faults from the scenario: what goes wrong, with which sensor, when, how badly.
+"""Sensor faults of a scenario: which sensor, what kind, when, and how large.
 
     [[fault]]
     suite = "chr"              # absent: all suites that have the sensor
@@ -71,13 +71,13 @@ _MU0_4PI = 1e-7  # T m / A
 
 
 def _ns(t: float) -> float:
-    """Whole nanoseconds; infinity stays."""
+    """Round a time (s) to whole nanoseconds; infinity stays."""
     return float(np.rint(t * 1e9))
 
 
 @dataclass
 class Fault:
-    """One fault with its state."""
+    """A fault and its state during a flight."""
 
     name: str
     sensor: str
@@ -99,13 +99,13 @@ class Fault:
     last: dict[str, np.ndarray] = field(default_factory=dict)  # the value sent before, by channel
 
     def hits(self, t: np.ndarray) -> np.ndarray:
-        """Mask (n,) of the samples at `t` that are hit."""
+        """Mask the samples at `t` (n,) s that the fault affects."""
         # To the nanosecond, as stamps are: a clock that has added up 1/400 s is off by some 1e-13 s.
         ns = np.rint(t * 1e9)
         return np.asarray((ns >= _ns(self.at)) & (ns < _ns(self.until)))
 
     def spike(self, channel: str, t: np.ndarray) -> np.ndarray:
-        """Mask (n,) of samples with a spike: the first at or after every multiple of the period."""
+        """Mask the samples at `t` (n,) s with a spike: the first at or after every multiple of the period."""
         hit = self.hits(t)
         periods = np.floor((t - self.at) / self.every + 1e-6)  # 0 throughout for a single spike
         number = np.where(hit, periods, -1.0).astype(int)
@@ -116,7 +116,7 @@ class Fault:
 
 
 class Channel:
-    """The faults of one sensor's values and messages; cheap when there are none."""
+    """Faults of one sensor's values and messages; cheap when there are none."""
 
     def __init__(self, name: str, faults: Iterable[Fault]) -> None:
         self.name = name
@@ -159,7 +159,7 @@ class Channel:
                 values[hit] = f.last.setdefault(self.name, values[0].copy())
 
     def deliver(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Masks and delays (m,), s, of the messages at `t`: sent or not, how late; None when none is touched."""
+        """Return mask of sent messages and delays (m,) s of the messages at `t`; None when no fault affects them."""
         if not self.message:
             return None
         sent, late = np.ones(len(t), bool), np.zeros(len(t))
@@ -205,12 +205,12 @@ class Faults:
         self._waiting = any(f.state != "over" for f in self.faults)
 
     def take_events(self) -> list[Event]:
-        """What was noted since the last call, in order of time."""
+        """Return the events noted since the last call, in order of time."""
         events, self._events = self._events, []
         return sorted(events, key=lambda e: e.t)
 
     def most_satellites(self, t: np.ndarray) -> np.ndarray:
-        """The number of satellites (m,) that can be received at `t`; 255: no limit."""
+        """Return the largest number of satellites (m,) that can be received at `t`; 255: no limit."""
         most = np.full(len(t), 255)
         for f in self._sky:
             hit = f.hits(t)
@@ -218,7 +218,7 @@ class Faults:
         return most
 
     def field_n(self, t: np.ndarray) -> np.ndarray:
-        """External magnetic field (n, 3), T, NED, at `t`."""
+        """Compute the external magnetic field (n, 3), T, NED, at `t` (n,) s."""
         total = np.zeros((len(t), 3))
         for f in self.fields:
             hit = f.hits(t)
@@ -232,7 +232,7 @@ class Faults:
 
 
 def _passing(f: Fault, t: np.ndarray) -> np.ndarray:
-    """Position (n, 3), m, NED, of the aircraft from a dipole that it passes on a straight line, midway of the fault."""
+    """Compute the position (n, 3), m, NED, relative to a dipole passed on a straight line, nearest at mid-fault."""
     distance, below, speed, bearing = f.path
     along = speed * (t - 0.5 * (f.at + f.until))
     c, s = math.cos(bearing), math.sin(bearing)
@@ -240,7 +240,7 @@ def _passing(f: Fault, t: np.ndarray) -> np.ndarray:
 
 
 def dipole(moment: np.ndarray, r: np.ndarray) -> np.ndarray:
-    """Field (n, 3), T, of a magnetic dipole `moment` (3,), A m2, at `r` (n, 3), m, from it."""
+    """Compute the field (n, 3), T, of a magnetic dipole `moment` (3,), A m2, at `r` (n, 3), m, from it."""
     d2 = r[:, :1] ** 2 + r[:, 1:2] ** 2 + r[:, 2:] ** 2
     along = r[:, :1] * moment[0] + r[:, 1:2] * moment[1] + r[:, 2:] * moment[2]
     return np.asarray(_MU0_4PI * (3.0 * along * r / d2 - moment) / (d2 * np.sqrt(d2)))
@@ -259,7 +259,7 @@ def check_suites(components: Iterable[Component], suites: Sequence[str]) -> None
 
 
 def make_faults(components: Iterable[Component], *, suite: str, instruments: Sequence[str], seed: int) -> Faults:
-    """The faults of `suite` among those of the scenario, checked.
+    """Make the faults of `suite` from those of the scenario.
 
     Raises:
         InputError: an unknown sensor, kind or key, a size that the kind needs, or one in a unit of another sensor.
@@ -295,7 +295,7 @@ def _make(component: Component, suite: str, instruments: Sequence[str], seed: in
 
 
 def _fill(fault: Fault, table: Table) -> None:
-    """What a kind needs besides sensor and time."""
+    """Read the keys that a kind needs besides sensor and time."""
     kind, channels = fault.kind, fault.channels
     if kind == "saturation" and fault.sensor not in RANGED:
         raise table.error("kind", f"{fault.sensor} has no range; saturation is for {', '.join(RANGED)}")

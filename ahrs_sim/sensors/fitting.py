@@ -1,4 +1,4 @@
-"""What an instrument is made from: its grade, its place in the aircraft, its random streams, its faults."""
+"""Installation of a sensor suite: grade, place in the aircraft, random streams and faults of its instruments."""
 
 import datetime
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from ahrs_sim.sensors.sampling import divider
 
 @dataclass(frozen=True)
 class Fitting:
-    """One suite's unit, fitted into the aircraft."""
+    """A suite as installed in the aircraft: all that its instruments are made from."""
 
     suite: str
     grade: Grade
@@ -24,29 +24,29 @@ class Fitting:
     start_lla: np.ndarray  # (3,) rad, rad, m
     position: np.ndarray  # m, FRD from where the centre of gravity is at first
     mount: np.ndarray  # C_sb (3, 3), body to sensor axes, known to the unit
-    turned: np.ndarray  # (3, 3) from the assumed sensor axes to the true ones (mounting error)
+    mounting_error: np.ndarray  # (3, 3) rotation from the assumed to the true sensor axes
     where: str  # for messages
 
     def figures(self, section: str, cls: type[FiguresT]) -> FiguresT:
-        """The figures of a section of the grade."""
+        """Read the figures of a section of the grade."""
         return self.grade.figures(section, cls)
 
     def every(self, rate: float, section: str) -> int:
-        """Rows of the truth per sample at `rate` (Hz)."""
+        """Count the rows of the truth per sample at `rate` (Hz)."""
         return divider(rate, self.dt, f"{self.where}: [{section}]")
 
     def stream(self, *name: str) -> np.random.Generator:
-        """The generator of a process of this suite."""
+        """Make the random generator of a process of this suite, named `name`."""
         return seeds.generator(self.seed, "suite", self.suite, *name)
 
     def normal(self, instrument: str, term: str, *shape: int) -> np.ndarray:
-        """Draw what an error term is in this flight: standard normal numbers of `shape` from a stream of its own."""
+        """Draw standard normal numbers of `shape` for an error term of this flight, from a stream of its own."""
         return self.stream(instrument, term).standard_normal(shape)
 
     def world(self, name: str) -> np.random.Generator:
-        """The generator of something that all suites meet alike."""
+        """Make the random generator of a process outside the suites, such as the pressure of the day."""
         return seeds.generator(self.seed, "world", name)
 
     def channel(self, name: str) -> Channel:
-        """The faults of a channel."""
+        """Select the faults of a channel."""
         return self.faults.channel(name)

@@ -1,9 +1,9 @@
-"""GNSS receiver: position and velocity of its antenna, late, at its own rate, while it has satellites enough.
+"""GNSS receiver: position and velocity of its antenna, delayed, at its own rate, while it has enough satellites.
 
     position = antenna + wander (Gauss-Markov) + white,    velocity = antenna's velocity + wander + white
     antenna  = CG + C_nb r,    its velocity = v + C_nb (w x r)
 
-Below four satellites a message says "no fix" and holds NaN; after that a receiver needs its time to find them again.
+Below four satellites a message has no fix and holds NaN; then the receiver takes a while to acquire them again.
 """
 
 import datetime
@@ -19,8 +19,8 @@ from ahrs_sim.sensors.faults import Faults
 from ahrs_sim.sensors.fitting import Fitting
 from ahrs_sim.sensors.grade import figure
 from ahrs_sim.sensors.imu import Imu
+from ahrs_sim.sensors.latency import LatencyBuffer
 from ahrs_sim.sensors.noise import White, gauss_markov, rms
-from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import FixRecord, Record, VelocityRecord
 from ahrs_sim.sensors.sampling import Clock, nanoseconds, pick
 from ahrs_sim.world import satellites
@@ -30,7 +30,7 @@ from estimators.rotations import nav_vector
 
 @dataclass(frozen=True)
 class GnssFigures:
-    """A receiver; sigmas are north, east, down."""
+    """Figures of a receiver; sigmas are north, east, down."""
 
     rate: float = figure("frequency", 5.0, minimum=0.01)
     latency: float = figure("time", minimum=0.0)
@@ -56,7 +56,7 @@ class Sky:
         self._last: tuple[np.ndarray, np.ndarray] | None = None
 
     def count(self, t: np.ndarray, lla: np.ndarray, q_nb: np.ndarray) -> np.ndarray:
-        """Number (m,) at `t` (m,) s, `lla` (m, 3), `q_nb` (m, 4)."""
+        """Count the satellites (m,) received at `t` (m,) s, `lla` (m, 3) rad, rad, m, `q_nb` (m, 4)."""
         # Position and heading receivers mostly ask for the same instants.
         if self._last is not None and np.array_equal(self._last[0], t):
             return self._last[1]
@@ -67,8 +67,8 @@ class Sky:
         return count
 
 
-class Lock:
-    """Satellite lock: lost at once, regained after a while."""
+class SatelliteLock:
+    """Satellite lock with immediate loss and delayed re-acquisition."""
 
     def __init__(self, least: int, wait: float, period: float) -> None:
         self._least = least
@@ -76,7 +76,7 @@ class Lock:
         self._left = 0  # samples still to wait
 
     def update(self, count: np.ndarray) -> np.ndarray:
-        """Mask (m,) of samples with a solution, from the number of satellites."""
+        """Mask the samples with a solution, from the number of satellites (m,)."""
         good = np.empty(len(count), bool)
         for i, n in enumerate(count.tolist()):
             if n < self._least:
@@ -89,7 +89,7 @@ class Lock:
 
 
 class Gnss:
-    """The receiver of a suite: gives records `fix` and `velocity`, both of one instant."""
+    """GNSS receiver of a suite: sends records `fix` and `velocity`, both of one instant."""
 
     records = ("fix", "velocity")
 
@@ -100,7 +100,7 @@ class Gnss:
         self._clock = Clock(every)
         self._imu = imu
         self._sky = sky
-        self._lock = Lock(4, f.reacquisition, self.period)
+        self._lock = SatelliteLock(4, f.reacquisition, self.period)
         self._position = fitting.channel("position")
         self._velocity = fitting.channel("velocity")
         self._noise = [
@@ -110,11 +110,11 @@ class Gnss:
              gauss_markov(f.velocity_wander, f.wander_time, self.period, fitting.stream("gnss", "velocity wander"))),
         ]  # fmt: skip
         self.sigma = np.sqrt(f.position_noise**2 + f.position_wander**2)
-        self._fixes = Outbox(FixRecord, self._position, f.latency)
-        self._velocities = Outbox(VelocityRecord, self._velocity, f.latency)
+        self._fixes = LatencyBuffer(FixRecord, self._position, f.latency)
+        self._velocities = LatencyBuffer(VelocityRecord, self._velocity, f.latency)
 
     def info(self) -> dict[str, Any]:
-        """What `SensorInfo` says of it."""
+        """Return its fields of `SensorInfo`: data sheet figures, SI."""
         f = self.figures
         return {
             "gnss_pos": rms(self.sigma),
@@ -123,15 +123,15 @@ class Gnss:
         }
 
     def drawn(self) -> dict[str, Any]:
-        """The truth of what was drawn: nothing."""
+        """Return nothing: no error is drawn once a flight."""
         return {}
 
     def sense(self, truth: Truth) -> dict[str, Record]:
-        """Records that arrive within the block."""
+        """Sense a block of the truth; return the records that arrive within it."""
         rows, t, now = self._clock.sample(truth)
         m = len(t)
         if not m:
-            return {"fix": self._fixes.wait(now), "velocity": self._velocities.wait(now)}
+            return {"fix": self._fixes.pop(now), "velocity": self._velocities.pop(now)}
         lla, q_nb = pick(truth.lla, rows), pick(truth.q_nb, rows)
         count = self._sky.count(t, lla, q_nb)
         errors = []
@@ -153,8 +153,8 @@ class Gnss:
         ns = nanoseconds(t)
         fixes = FixRecord(ns, ns, lla_deg, sigma, fix, count.astype(np.uint8))
         return {
-            "fix": self._fixes.post(fixes, t, now),
-            "velocity": self._velocities.post(VelocityRecord(ns, ns, vel_n), t, now),
+            "fix": self._fixes.push(fixes, t, now),
+            "velocity": self._velocities.push(VelocityRecord(ns, ns, vel_n), t, now),
         }
 
 
@@ -163,7 +163,7 @@ def _antenna(
     lla: np.ndarray, vel_n: np.ndarray, q_nb: np.ndarray, rate: np.ndarray, arm: np.ndarray, position_error: np.ndarray,
     velocity_error: np.ndarray, lla_deg: np.ndarray, out_vel: np.ndarray,
 ) -> None:  # fmt: skip
-    """Antenna's place (deg, deg, m) and velocity, `arm` (m, 3) from the CG in body axes, errors in NED.
+    """Compute the antenna's place (deg, deg, m) and velocity, `arm` (m, 3) from the CG in body axes, errors in NED.
 
     The rate is inertial: the Earth's turning of the arm, 1e-4 m/s for a metre, is left in.
     """

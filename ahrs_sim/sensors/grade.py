@@ -1,4 +1,4 @@
-"""Grades: the figures of a kind of instrument, each with unit, source and a mark that says how far to trust it.
+"""Grades: the figures of a kind of instrument, each with unit, source and a mark of how far it can be trusted.
 
 A grade is a TOML file in `grades/`:
 
@@ -67,7 +67,7 @@ FiguresT = TypeVar("FiguresT")
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One stated figure."""
+    """A figure as stated in a grade or a scenario."""
 
     key: str  # as written, with its unit
     value: float | tuple[float, ...]  # as written
@@ -77,25 +77,25 @@ class Entry:
 
     @property
     def text(self) -> str:
-        """The value as written, components separated by spaces."""
+        """Format the value as written, components separated by spaces."""
         return " ".join(f"{x:.6g}" for x in np.atleast_1d(self.value))
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A table of a grade: the dataclass of its figures and the quantity that `*` in their kinds stands for."""
+    """Table of a grade: the dataclass of its figures and the quantity that `*` in their kinds stands for."""
 
     figures: type
     quantity: str = "number"
 
 
 def figure(kind: str, default: float | tuple[float, ...] = 0.0, *, size: int = 0, minimum: float = -math.inf) -> Any:
-    """A field of a dataclass of figures: its kind (`"rate"`, `"*_rthz"`), default in SI, size (0: one number)."""
+    """Make a field of a dataclass of figures: its kind (`"rate"`, `"*_rthz"`), default in SI, size (0: one number)."""
     return dataclasses.field(metadata={"kind": kind, "default": default, "size": size, "minimum": minimum})
 
 
 def _units(kind: str, quantity: str) -> dict[str, float]:
-    """Unit suffixes of a kind and their factors to SI: `*_rthz` for a rate gives dps_rthz and dph_rthz."""
+    """List the unit suffixes of a kind and their factors to SI: `*_rthz` for a rate gives dps_rthz and dph_rthz."""
     if kind in UNITS:
         return UNITS[kind]
     base, _, per = kind.partition("_")
@@ -104,7 +104,7 @@ def _units(kind: str, quantity: str) -> dict[str, float]:
 
 
 def _keys(section: Section) -> dict[str, tuple[str, float]]:
-    """Every key that a table may hold, with the field it sets and its factor to SI."""
+    """List every key that a table may hold, with the field it sets and its factor to SI."""
     keys = {}
     for f in dataclasses.fields(section.figures):
         kind = f.metadata["kind"]
@@ -167,7 +167,7 @@ def parse(tables: Mapping[str, Any], sections: Mapping[str, Section], where: str
 
 @dataclass(frozen=True)
 class Grade:
-    """The effective figures of one suite: grade, what it extends, and overrides."""
+    """Effective figures of a suite: its grade, the grades it extends, and the scenario's overrides."""
 
     name: str
     title: str
@@ -180,7 +180,7 @@ class Grade:
         return section in self.layer
 
     def figures(self, section: str, cls: type[FiguresT]) -> FiguresT:
-        """The figures of a section in SI: floats, and arrays (size,) where the field says so.
+        """Read the figures of a section in SI: floats, and arrays (size,) for fields with a size.
 
         Raises:
             InputError: a list of the wrong length, a number below its minimum.
@@ -201,20 +201,20 @@ class Grade:
         return cls(**values)
 
     def rows(self) -> Iterator[tuple[str, Entry]]:
-        """Every stated figure with its section, in the order of the sections."""
+        """List every stated figure with its section, in the order of the sections."""
         for section in self.sections:
             for entry in self.layer.get(section, {}).values():
                 yield section, entry
 
 
 def names() -> list[str]:
-    """The grades that come with the package."""
+    """List the grades that come with the package."""
     folder = resources.files("ahrs_sim.sensors") / "grades"
     return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
 
 
 def _find(name: str, where: str) -> Path:
-    """The file of a grade: of a shipped one by its name, else a TOML file beside the one that names it, or here."""
+    """Find the file of a grade: a shipped one by its name, else a TOML file beside the one that names it, or here."""
     if name in names():
         return Path(str(resources.files("ahrs_sim.sensors") / "grades" / f"{name}.toml"))
     if not name.endswith(".toml"):
@@ -225,7 +225,7 @@ def _find(name: str, where: str) -> Path:
 
 
 def _read(name: str, sections: Mapping[str, Section], where: str, chain: tuple[str, ...] = ()) -> Grade:
-    """The grade of one file, with what it extends below."""
+    """Read a grade file, laid over the figures of the grade that it extends."""
     path = _find(name, where)
     if str(path) in chain:
         raise InputError(f"{where}: extends: {' -> '.join((*chain, str(path)))} goes in a circle; remove one")
@@ -244,7 +244,7 @@ def _over(below: Layer, above: Layer) -> Layer:
 def load(
     name: str, sections: Mapping[str, Section], overrides: Mapping[str, Any] | None = None, where: str = "grade"
 ) -> Grade:
-    """A grade by name, or of parts by their names with " + " between, with the scenario's overrides on top.
+    """Load a grade by name, or parts by names with " + " between, with the scenario's overrides on top.
 
     Raises:
         InputError: an unknown grade, or anything wrong in it or in the overrides.

@@ -18,10 +18,10 @@ from ahrs_sim import attitude
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.jit import njit
 from ahrs_sim.sensors.fitting import Fitting
-from ahrs_sim.sensors.gnss import Lock, Sky
+from ahrs_sim.sensors.gnss import SatelliteLock, Sky
 from ahrs_sim.sensors.grade import figure
+from ahrs_sim.sensors.latency import LatencyBuffer
 from ahrs_sim.sensors.noise import White, gauss_markov
-from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import HeadingRecord, Record
 from ahrs_sim.sensors.sampling import Clock, nanoseconds, pick
 from estimators.rotations import nav_vector, wrap
@@ -32,7 +32,7 @@ LEAST_SATELLITES = 6
 
 @dataclass(frozen=True)
 class HeadingFigures:
-    """A receiver with two antennas."""
+    """Figures of a receiver with two antennas."""
 
     rate: float = figure("frequency", 5.0, minimum=0.01)
     latency: float = figure("time", minimum=0.0)
@@ -48,7 +48,7 @@ class HeadingFigures:
 
 
 class DualAntenna:
-    """The heading receiver of a suite: gives records `heading`, NaN without a solution."""
+    """Heading receiver of a suite: sends records `heading`, NaN without a solution."""
 
     records = ("heading",)
 
@@ -59,7 +59,7 @@ class DualAntenna:
         self.sigma = math.hypot(f.phase_noise, f.phase_wander) / f.baseline
         self._clock = Clock(every)
         self._sky = sky
-        self._lock = Lock(LEAST_SATELLITES, f.reacquisition, self.period)
+        self._lock = SatelliteLock(LEAST_SATELLITES, f.reacquisition, self.period)
         self._channel = fitting.channel("heading")
         self.misalignment = fitting.normal("heading", "turn-on", 2) * f.misalignment  # rad, yaw and pitch
         self._direction = attitude.matrix(0.0, self.misalignment[1], f.baseline_yaw + self.misalignment[0])[:, 0].copy()
@@ -69,22 +69,22 @@ class DualAntenna:
         self._wrong = fitting.stream("heading", "wrong fixes")
         self._wrong_offset = math.asin(min(WAVELENGTH / f.baseline, 1.0))
         self._wrong_state = np.zeros(2)  # samples left, offset in rad
-        self._outbox = Outbox(HeadingRecord, self._channel, f.latency)
+        self._buffer = LatencyBuffer(HeadingRecord, self._channel, f.latency)
 
     def info(self) -> dict[str, Any]:
-        """What `SensorInfo` says of it."""
+        """Return its fields of `SensorInfo`: data sheet figures, SI."""
         return {"heading": self.sigma, "heading_mount": self.figures.misalignment}
 
     def drawn(self) -> dict[str, Any]:
-        """The truth of what was drawn, SI."""
+        """Return the errors that were drawn for this flight, SI."""
         return {"heading.misalignment": self.misalignment}
 
     def sense(self, truth: Truth) -> dict[str, Record]:
-        """Records that arrive within the block."""
+        """Sense a block of the truth; return the records that arrive within it."""
         rows, t, now = self._clock.sample(truth)
         m = len(t)
         if not m:
-            return {"heading": self._outbox.wait(now)}
+            return {"heading": self._buffer.pop(now)}
         f = self.figures
         q_nb = pick(truth.q_nb, rows)
         count = self._sky.count(t, pick(truth.lla, rows), q_nb)
@@ -101,7 +101,7 @@ class DualAntenna:
         ns = nanoseconds(t)
         sigma = np.where(lost, np.nan, self.sigma)
         sent = HeadingRecord(ns, ns, heading[:, 0], sigma, count.astype(np.uint8))
-        return {"heading": self._outbox.post(sent, t, now)}
+        return {"heading": self._buffer.push(sent, t, now)}
 
 
 @njit
@@ -109,7 +109,7 @@ def _azimuth(
     q_nb: np.ndarray, e: np.ndarray, yaw: float, noise: np.ndarray, uniform: np.ndarray, chance: float,
     lasting: float, offset: float, state: np.ndarray, out: np.ndarray,
 ) -> None:  # fmt: skip
-    """Heading (m, 1) in (-pi, pi]; NaN when the baseline points within 10 deg of the vertical."""
+    """Measure the heading (m, 1) rad in (-pi, pi]; NaN when the baseline points within 10 deg of the vertical."""
     for i in range(out.shape[0]):
         north, east, _ = nav_vector(q_nb[i], e[0], e[1], e[2])
         if state[0] > 0.0:

@@ -1,6 +1,6 @@
-"""Gyro and accelerometer, sent together.
+"""Inertial measurement unit: gyro and accelerometer, sent in one message.
 
-The accelerometer feels f = f_cg + w' x r + w x (w x r), r from the centre of gravity, which moves, to the unit. The
+The accelerometer senses f = f_cg + w' x r + w x (w x r), r from the centre of gravity, which moves, to the unit. The
 chip warms up from switch-on towards the air's temperature plus its own heat.
 """
 
@@ -13,8 +13,8 @@ from ahrs_sim.flight.truth import Truth
 from ahrs_sim.jit import njit
 from ahrs_sim.sensors.fitting import Fitting
 from ahrs_sim.sensors.grade import figure
+from ahrs_sim.sensors.latency import LatencyBuffer
 from ahrs_sim.sensors.noise import rms
-from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import ImuErrorsRecord, ImuRecord, Record
 from ahrs_sim.sensors.sampling import Clock, Lag, nanoseconds
 from ahrs_sim.sensors.triad import GyroFigures, InertialFigures, Triad
@@ -23,7 +23,7 @@ from ahrs_sim.sensors.vibration import MotorFigures, Vibration
 
 @dataclass(frozen=True)
 class ImuFigures:
-    """The unit around gyro and accelerometer."""
+    """Figures of the unit around gyro and accelerometer."""
 
     rate: float = figure("frequency", 100.0, minimum=0.1)
     jitter: float = figure("time", minimum=0.0)  # samples taken |N(0, jitter)| ahead of their slot, stamped truly
@@ -33,7 +33,7 @@ class ImuFigures:
 
 
 class Imu:
-    """The inertial unit of a suite: gives records `imu` and `imu_errors` (the true biases, for reports)."""
+    """Inertial unit of a suite: sends records `imu` and `imu_errors` (the true biases, for reports)."""
 
     records = ("imu", "imu_errors")
 
@@ -44,7 +44,7 @@ class Imu:
         self._from_cg = fitting.position  # m, FRD from where the centre of gravity is at first
         self.position: np.ndarray | None = None  # m, FRD from the aircraft's reference, once the flight has begun
         self._clock = Clock(every)
-        # What a sample can be early is bounded so that the delay line is: beyond 5 sigma nothing was lost.
+        # Jitter is clipped at 5 sigma so that the delay line has a fixed length.
         self._earliest = min(5.0 * f.jitter, 0.9 * self.period)
         gyro, accel = fitting.figures("gyro", GyroFigures), fitting.figures("accelerometer", InertialFigures)
         self.gyro = Triad("gyro", gyro, fitting, every, self._earliest)
@@ -55,11 +55,11 @@ class Imu:
         self._clock_noise = fitting.stream("imu", "clock")
         self._heat = Lag(f.warm_up_time, self.period)
         self._cold: float | None = None  # K, at switch-on
-        self._outbox = Outbox(ImuRecord, fitting.channel("gyro"), 0.0)
-        self._errors = Outbox(ImuErrorsRecord, fitting.channel("gyro"), 0.0)
+        self._buffer = LatencyBuffer(ImuRecord, fitting.channel("gyro"), 0.0)
+        self._errors = LatencyBuffer(ImuErrorsRecord, fitting.channel("gyro"), 0.0)
 
     def info(self) -> dict[str, Any]:
-        """What `SensorInfo` says of it."""
+        """Return its fields of `SensorInfo`: data sheet figures, SI."""
         g, a = self.gyro.figures, self.accel.figures
         return {
             "rate": 1.0 / self.period,
@@ -82,11 +82,11 @@ class Imu:
         }
 
     def drawn(self) -> dict[str, Any]:
-        """The truth of what was drawn, SI."""
+        """Return the errors that were drawn for this flight, SI."""
         return self.gyro.drawn() | self.accel.drawn()
 
     def sense(self, truth: Truth) -> dict[str, Record]:
-        """Records that arrive within the block."""
+        """Sense a block of the truth; return the records that arrive within it."""
         n = len(truth)
         if self.position is None and n:
             self.position = truth.cg_b[0] + self._from_cg
@@ -112,10 +112,10 @@ class Imu:
         stamp_ns, arrival_ns = nanoseconds(stamp), nanoseconds(slot)
         values = ImuRecord(stamp_ns, arrival_ns, gyro, accel, clipped | over, temperature)
         errors = ImuErrorsRecord(stamp_ns, arrival_ns, gyro_bias, accel_bias, gyro_effective, accel_effective)
-        return {"imu": self._outbox.post(values, slot, now), "imu_errors": self._errors.post(errors, slot, now)}
+        return {"imu": self._buffer.push(values, slot, now), "imu_errors": self._errors.push(errors, slot, now)}
 
     def _temperature(self, air: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Temperature (m,), K, of the chip, and above that at switch-on, when it was as cold as the air."""
+        """Compute the chip's temperature (m,), K, and its rise since switch-on, when it was as cold as the air."""
         if self._cold is None and len(air):
             self._cold = float(air[0])
             self._heat.apply(air[:1])
@@ -127,7 +127,7 @@ class Imu:
 def _force_at(
     force: np.ndarray, rate: np.ndarray, rate_dot: np.ndarray, cg: np.ndarray, place: np.ndarray, out: np.ndarray
 ) -> None:
-    """F + w' x r + w x (w x r), r = place - cg; all (n, 3), body axes."""
+    """Compute f + w' x r + w x (w x r) with r = place - cg; all (n, 3), body axes."""
     for i in range(out.shape[0]):
         x, y, z = place[0] - cg[i, 0], place[1] - cg[i, 1], place[2] - cg[i, 2]
         p, q, r = rate[i, 0], rate[i, 1], rate[i, 2]

@@ -18,8 +18,8 @@ from ahrs_sim.flight.truth import Truth
 from ahrs_sim.jit import njit
 from ahrs_sim.sensors.fitting import Fitting
 from ahrs_sim.sensors.grade import figure
+from ahrs_sim.sensors.latency import LatencyBuffer
 from ahrs_sim.sensors.noise import White
-from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import PhaseRecord, Record
 from ahrs_sim.sensors.sampling import Clock, nanoseconds, pick
 from ahrs_sim.world.wgs84 import radii
@@ -30,7 +30,7 @@ LIGHT = 299792458.0  # m/s
 
 @dataclass(frozen=True)
 class PhaseFigures:
-    """An interferometer and the emitter that it receives."""
+    """Figures of an interferometer and of the emitter that it receives."""
 
     rate: float = figure("frequency", 2.0, minimum=0.01)
     latency: float = figure("time", minimum=0.0)
@@ -44,7 +44,7 @@ class PhaseFigures:
 
 
 class Interferometer:
-    """The interferometer of a suite: gives records `interferometer`."""
+    """Interferometer of a suite: sends records `interferometer`."""
 
     records = ("interferometer",)
 
@@ -62,22 +62,22 @@ class Interferometer:
         self._emitter = np.array([f.emitter_north, f.emitter_east])
         sigma = np.array([f.phase_noise, f.rate_noise, f.bearing_noise])
         self._white = White(sigma, fitting.stream("interferometer", "white"))
-        self._outbox = Outbox(PhaseRecord, self._channel, f.latency)
+        self._buffer = LatencyBuffer(PhaseRecord, self._channel, f.latency)
 
     def info(self) -> dict[str, Any]:
-        """What `SensorInfo` says of it: nothing."""
+        """Return nothing: `SensorInfo` has no field for it."""
         return {}
 
     def drawn(self) -> dict[str, Any]:
-        """The truth of what was drawn: nothing."""
+        """Return nothing: no error is drawn once a flight."""
         return {}
 
     def sense(self, truth: Truth) -> dict[str, Record]:
-        """Records that arrive within the block."""
+        """Sense a block of the truth; return the records that arrive within it."""
         rows, t, now = self._clock.sample(truth)
         m = len(t)
         if not m:
-            return {"interferometer": self._outbox.wait(now)}
+            return {"interferometer": self._buffer.pop(now)}
         noise = self._white.draw(m)
         if self._channel.shaping:
             self._channel.shape(t, noise[:, :1], np.full((m, 1), np.inf))
@@ -86,7 +86,7 @@ class Interferometer:
         _observe(*motion, self._origin, self._scale, self._emitter, self._k, noise, out)
         self._channel.send(t, out)
         ns = nanoseconds(t)
-        return {"interferometer": self._outbox.post(PhaseRecord(ns, ns, out[:, 0], out[:, 1], out[:, 2]), t, now)}
+        return {"interferometer": self._buffer.push(PhaseRecord(ns, ns, out[:, 0], out[:, 1], out[:, 2]), t, now)}
 
 
 @njit
@@ -94,7 +94,7 @@ def _observe(
     lla: np.ndarray, vel_n: np.ndarray, q_nb: np.ndarray, rate: np.ndarray, origin: np.ndarray, scale: np.ndarray,
     emitter: np.ndarray, k: float, noise: np.ndarray, out: np.ndarray,
 ) -> None:  # fmt: skip
-    """Phase in (-pi, pi], phase rate and coarse bearing (m, 3)."""
+    """Measure phase in (-pi, pi], phase rate and coarse bearing (m, 3), rad and rad/s."""
     for i in range(out.shape[0]):
         north = emitter[0] - (lla[i, 0] - origin[0]) * scale[0]
         east = emitter[1] - (lla[i, 1] - origin[1]) * scale[1]

@@ -14,8 +14,8 @@ from ahrs_sim.flight.truth import Truth
 from ahrs_sim.jit import njit
 from ahrs_sim.sensors.fitting import Fitting
 from ahrs_sim.sensors.grade import figure
+from ahrs_sim.sensors.latency import LatencyBuffer
 from ahrs_sim.sensors.noise import rms, white_sigma
-from ahrs_sim.sensors.outbox import Outbox
 from ahrs_sim.sensors.records import MagRecord, Record
 from ahrs_sim.sensors.sampling import Clock, nanoseconds, pick
 from ahrs_sim.sensors.triad import Triad, TriadFigures
@@ -25,7 +25,7 @@ from estimators.rotations import to_body
 
 @dataclass(frozen=True)
 class MagFigures(TriadFigures):
-    """A magnetometer; `turn_on_bias` is the hard iron left over."""
+    """Figures of a magnetometer; `turn_on_bias` is the hard iron left over by calibration."""
 
     rate: float = figure("frequency", 100.0, minimum=0.1)
     soft_iron: float = figure("fraction", minimum=0.0)  # 1 sigma of each term of the symmetric matrix
@@ -34,7 +34,7 @@ class MagFigures(TriadFigures):
 
 
 class Magnetometer:
-    """The magnetometer of a suite: gives records `mag`."""
+    """Magnetometer of a suite: sends records `mag`."""
 
     records = ("mag",)
 
@@ -51,10 +51,10 @@ class Magnetometer:
         iron = fitting.normal("magnetometer", "soft iron", 3, 3) * f.soft_iron
         self.triad.matrix[:] = np.einsum("ij,jk->ik", np.eye(3) + 0.5 * (iron + iron.T), self.triad.matrix)
         self.model_error = fitting.world("magnetic field").standard_normal(3) * f.model_error
-        self._outbox = Outbox(MagRecord, fitting.channel("magnetometer"), 0.0)
+        self._buffer = LatencyBuffer(MagRecord, fitting.channel("magnetometer"), 0.0)
 
     def info(self) -> dict[str, Any]:
-        """What `SensorInfo` says of it."""
+        """Return its fields of `SensorInfo`: data sheet figures, SI."""
         f = self.figures
         return {
             "mag_noise": rms(white_sigma(f.noise_density, 1.0 / self.period)),
@@ -68,14 +68,14 @@ class Magnetometer:
         }
 
     def drawn(self) -> dict[str, Any]:
-        """The truth of what was drawn, SI."""
+        """Return the errors that were drawn for this flight, SI."""
         return self.triad.drawn() | {
             "magnetometer.motor_field": self.motor_field,
             "magnetometer.model_error": self.model_error,
         }
 
     def sense(self, truth: Truth) -> dict[str, Record]:
-        """Records that arrive within the block."""
+        """Sense a block of the truth; return the records that arrive within it."""
         n = len(truth)
         rows, t, now = self._clock.sample(truth)
         field_b = np.empty((n, 3))
@@ -87,7 +87,7 @@ class Magnetometer:
                        self.motor_field, field_b)  # fmt: skip
         values, saturated, *_ = self.triad.measure(field_b, rows, t, np.zeros(len(t)))
         ns = nanoseconds(t)
-        return {"mag": self._outbox.post(MagRecord(ns, ns, values, saturated), t, now)}
+        return {"mag": self._buffer.push(MagRecord(ns, ns, values, saturated), t, now)}
 
 
 @njit
@@ -95,7 +95,7 @@ def _field_in_body(
     field_n: np.ndarray, first: int, every: int, held: np.ndarray, external: np.ndarray, q_nb: np.ndarray,
     throttle: np.ndarray, motor: np.ndarray, out: np.ndarray,
 ) -> None:  # fmt: skip
-    """C_bn(q) (B + external) + motor field x throttle, rows (n, 3); B (m, 3) at samples, `held` (3,) between them."""
+    """Compute C_bn(q) (B + external) + throttle x motor field, (n, 3) T; B (m, 3) at samples, `held` (3,) between."""
     m = 0
     for i in range(out.shape[0]):
         if i == first + m * every and m < field_n.shape[0]:

@@ -29,24 +29,24 @@ ALLAN_FLOOR = math.sqrt(2.0 * math.log(2.0) / math.pi)
 
 
 def white_sigma(density: np.ndarray, rate: float) -> np.ndarray:
-    """Sigma of samples at `rate` (Hz) of a noise with single-sided `density` (unit/sqrt(Hz))."""
+    """Compute sigma of samples at `rate` (Hz) of a noise with single-sided `density` (unit/sqrt(Hz))."""
     return density * math.sqrt(rate / 2.0)
 
 
 def rms(x: np.ndarray) -> float:
-    """Root mean square over the axes: the one sigma that stands for all."""
+    """Compute the root mean square over the axes: one sigma for all of them."""
     return float(np.sqrt(np.mean(np.square(x))))
 
 
 class White:
-    """Independent normal samples (n, axes)."""
+    """White noise: independent normal samples (n, axes)."""
 
     def __init__(self, sigma: np.ndarray, rng: np.random.Generator) -> None:
         self.sigma = np.atleast_1d(np.asarray(sigma, float))
         self._rng = rng
 
     def draw(self, n: int) -> np.ndarray:
-        """The next `n` rows (n, axes)."""
+        """Draw the next `n` rows (n, axes)."""
         return self._rng.standard_normal((n, len(self.sigma))) * self.sigma  # type: ignore[no-any-return]
 
 
@@ -77,7 +77,7 @@ class Correlated:
         self._shape = (terms + self._walks, axes)
 
     def draw(self, n: int) -> np.ndarray:
-        """The next `n` rows (n, axes)."""
+        """Draw the next `n` rows (n, axes)."""
         terms, axes = self._shape
         out = np.zeros((n, axes))
         if terms and n:
@@ -87,13 +87,13 @@ class Correlated:
 
 
 def gauss_markov(sigma: np.ndarray, time: float, dt: float, rng: np.random.Generator) -> Correlated:
-    """One first-order Gauss-Markov process per axis: stationary `sigma` (axes,), correlation `time` (s)."""
+    """Make one first-order Gauss-Markov process per axis: stationary `sigma` (axes,), correlation `time` (s)."""
     sigma = np.atleast_1d(np.asarray(sigma, float))
     return Correlated(sigma[None], np.array([time]), np.zeros(len(sigma)), dt, rng)
 
 
 def in_run_bias(floor: np.ndarray, walk: np.ndarray, dt: float, rng: np.random.Generator) -> Correlated:
-    """Flicker whose Allan deviation is flat at `floor` (axes,), and a random walk (axes,) unit/sqrt(s)."""
+    """Make flicker whose Allan deviation is flat at `floor` (axes,), plus a random walk (axes,) unit/sqrt(s)."""
     sigma = np.outer(np.full(len(FLICKER_TIMES), FLICKER_SIGMA / ALLAN_FLOOR), floor)
     return Correlated(sigma, FLICKER_TIMES, walk, dt, rng)
 

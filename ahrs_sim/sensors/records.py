@@ -1,6 +1,6 @@
-"""What instruments send: one block type per message, each row with its own stamp.
+"""Messages of the instruments: one block type per message, each row with its own stamp.
 
-`stamp_ns` is when the instrument says the value was measured, `arrival_ns` when the message is there; both count from
+`stamp_ns` is the time of measurement by the instrument's clock, `arrival_ns` that of arrival; both count from
 the scenario's epoch. Values are what the log stores, bit for bit, so that a replay sees the same numbers.
 """
 
@@ -13,7 +13,7 @@ from estimators.types import Columns, Estimates, column
 
 @dataclass(frozen=True, slots=True)
 class Record(Columns):
-    """Common to all."""
+    """Columns that all messages have."""
 
     stamp_ns: np.ndarray = column(dtype=np.int64)  # (n,) ns
     arrival_ns: np.ndarray = column(dtype=np.int64)  # (n,) ns
@@ -31,9 +31,9 @@ class ImuRecord(Record):
 
 @dataclass(frozen=True, slots=True)
 class ImuErrorsRecord(Record):
-    """Not sent by any instrument: the true biases in each `ImuRecord`, for reports.
+    """True biases in each `ImuRecord`, for reports; no instrument sends them.
 
-    The effective ones are what acts as a bias while the specific force stays: of the accelerometer scale, misalignment
+    The effective ones include what acts as a bias at constant specific force: of the accelerometer scale, misalignment
     and non-linearity times g, too; of the gyro g-sensitivity times g, but nothing that comes and goes with the rate.
     A navigator's bias states mean these.
     """
@@ -87,7 +87,7 @@ class PressureRecord(Record):
 
 @dataclass(frozen=True, slots=True)
 class AirRecord(Record):
-    """Derived in the air data computer from the two pressures (and vanes when fitted)."""
+    """Air data derived by the air data computer from the two pressures, and the vanes where fitted."""
 
     indicated_airspeed: np.ndarray = column()  # m/s
     airspeed: np.ndarray = column()  # m/s, true
@@ -106,7 +106,7 @@ class PhaseRecord(Record):
 
 @dataclass(frozen=True, slots=True)
 class AttitudeRecord(Record):
-    """Attitude of a reference: the truth of a flight, or what a bag has to compare with."""
+    """Reference attitude: the truth of a flight, or the reference of a recording."""
 
     q_nb: np.ndarray = column(4)  # (n, 4)
 
@@ -125,7 +125,7 @@ static_pressure, air, interferometer; on replay also reference.
 
 
 def within(block: SuiteBlock, first_ns: float, last_ns: float) -> SuiteBlock:
-    """The rows of a block stamped from `first_ns` to `last_ns`."""
+    """Select the rows of a block stamped from `first_ns` to `last_ns`."""
     cut = {}
     for name, records in block.items():
         rows = (records.stamp_ns >= first_ns) & (records.stamp_ns <= last_ns)

@@ -17,7 +17,7 @@ class Clock:
         self._next = 0  # rows of the coming block before the next sample
 
     def rows(self, n: int) -> slice:
-        """The sampled rows of the next block of `n` rows."""
+        """Choose the sampled rows of the next block of `n` rows."""
         first = self._next
         self._next = first + -(-(n - first) // self.every) * self.every - n if n > first else first - n
         return slice(first, n, self.every)
@@ -29,7 +29,7 @@ class Clock:
 
 
 def divider(rate: float, dt: float, what: str) -> int:
-    """Rows of the truth (every `dt` s) per sample at `rate` (Hz).
+    """Count the rows of the truth (every `dt` s) per sample at `rate` (Hz).
 
     Raises:
         InputError: the rate does not divide that of the truth.
@@ -48,10 +48,10 @@ class BandLimit:
 
     Args:
         cutoff: -3 dB frequency, Hz; 0 or anything the truth's rate cannot carry: no filter.
-        delay: total delay wanted, s, the filter's own at low frequency included (at least that is had).
+        delay: total group delay, s; never less than the filter's own at low frequency.
         dt: s between rows of the truth.
         every: rows per sample.
-        longest: s, room for additional delay of single samples (jitter).
+        longest: largest additional delay of single samples (jitter), s.
     """
 
     def __init__(self, cutoff: float, delay: float, dt: float, every: int, longest: float = 0.0) -> None:
@@ -75,7 +75,7 @@ class BandLimit:
         self._count = np.zeros(1, np.int64)
 
     def apply(self, x: np.ndarray, rows: slice, extra: np.ndarray) -> np.ndarray:
-        """Filtered, delayed samples (m, 3) of `x` (n, 3) at `rows`; `extra` (m,) s: more delay of each sample."""
+        """Filter and delay `x` (n, 3); return samples (m, 3) at `rows`, each `extra` (m,) s later still."""
         if self._state is None:  # as if the first value had always been there: no transient
             if not len(x):
                 return np.empty((0, 3))
@@ -92,7 +92,7 @@ def _band_limit(
     x: np.ndarray, b: np.ndarray, a: np.ndarray, state: np.ndarray, past: np.ndarray, count: np.ndarray,
     first: int, every: int, lag: float, extra: np.ndarray, out: np.ndarray,
 ) -> None:  # fmt: skip
-    """Transposed direct form II per axis into a ring of past values; samples interpolate linearly `lag` rows back."""
+    """Filter each axis (transposed direct form II) into a ring of past values; interpolate samples `lag` rows back."""
     size = past.shape[0]
     now = count[0]
     m = 0
@@ -115,12 +115,12 @@ def _band_limit(
 
 
 def pick(x: np.ndarray, rows: slice) -> np.ndarray:
-    """The sampled `rows` of `x`, contiguous: a kernel compiles once for each layout that it meets."""
+    """Copy the sampled `rows` of `x` contiguously, because a kernel compiles once for each memory layout."""
     return np.ascontiguousarray(x[rows])
 
 
 def nanoseconds(t: np.ndarray) -> np.ndarray:
-    """Whole nanoseconds of times in s, int64."""
+    """Round times (s) to whole nanoseconds, int64."""
     return np.rint(t * 1e9).astype(np.int64)
 
 
@@ -132,7 +132,7 @@ class Lag:
         self._state = np.full(1, np.nan)
 
     def apply(self, x: np.ndarray) -> np.ndarray:
-        """Lagged values (n,) of `x` (n,)."""
+        """Apply the lag to `x` (n,); return (n,)."""
         out = np.empty(len(x))
         if len(x):
             if np.isnan(self._state[0]):

@@ -55,23 +55,23 @@ INSTRUMENTS = ("imu", "magnetometer", "gnss", "heading", "air_data", "interferom
 
 
 class Instrument(Protocol):
-    """What a suite asks of an instrument."""
+    """An instrument as a suite uses it."""
 
     @property
     def records(self) -> tuple[str, ...]:
-        """Names of the records it sends."""
+        """Names of the records that it sends."""
         ...
 
     def sense(self, truth: Truth) -> dict[str, Record]:
-        """Records that arrive within the block, by name."""
+        """Sense a block of the truth; return the records that arrive within it, by name."""
         ...
 
     def info(self) -> dict[str, Any]:
-        """What `SensorInfo` says of it, by field."""
+        """Return its fields of `SensorInfo`: data sheet figures, SI."""
         ...
 
     def drawn(self) -> dict[str, Any]:
-        """What was drawn for this flight, SI."""
+        """Return the errors that were drawn for this flight, SI."""
         ...
 
 
@@ -97,11 +97,14 @@ class Suite:
 
     @property
     def instruments(self) -> tuple[str, ...]:
-        """Names of the records that come, in the order of a block."""
+        """Names of the records of a block, in their order."""
         return tuple(name for i in self._instruments for name in i.records)
 
     def sense(self, truth: Truth) -> SuiteBlock:
-        """What arrives from every instrument while `truth` happens; blocks of any length give the same records."""
+        """Sense a block of the truth with every instrument; return the records that arrive within it.
+
+        Blocks of any length give the same records.
+        """
         self._faults.watch(truth.t)
         block: SuiteBlock = {}
         for instrument in self._instruments:
@@ -109,23 +112,23 @@ class Suite:
         return block
 
     def take_events(self) -> list[Event]:
-        """Faults that set in or ended since the last call."""
+        """Collect the events of faults that began or ended since the last call."""
         return self._faults.take_events()
 
     @property
     def info(self) -> SensorInfo:
-        """What the data sheets say: grade figures, nothing drawn."""
+        """Data sheet figures of the suite, nothing that was drawn."""
         values: dict[str, Any] = {}
         for instrument in self._instruments:
             values |= instrument.info()
         return SensorInfo(**values)
 
     def drawn(self) -> dict[str, np.ndarray]:
-        """The truth of the errors that were drawn for this flight, SI, in the sensors' axes."""
+        """Return the errors that were drawn for this flight, SI, in the sensors' axes."""
         return {name: np.asarray(value) for i in self._instruments for name, value in i.drawn().items()}
 
     def specification(self) -> dict[str, str]:
-        """Effective figures with their sources, and what was drawn for this flight, as flat texts for the log."""
+        """Describe effective figures with sources, and errors drawn for this flight, as flat texts for the log."""
         flat = {"grade": self.grade.name, "title": self.grade.title, "instruments": " ".join(self.instruments)}
         for section, entry in self.grade.rows():
             flat[f"{section}.{entry.key}"] = f"{entry.text} ({entry.mark}: {entry.source})"
@@ -138,7 +141,7 @@ def make_suite(
     component: Component, *, seed: int, dt: float, epoch: datetime.datetime, start_lla: np.ndarray,
     faults: Sequence[Component] = (),
 ) -> Suite:  # fmt: skip
-    """The suite of a scenario's `[suite.NAME]` table.
+    """Make the suite of a scenario's `[suite.NAME]` table.
 
     Args:
         component: the table.
@@ -170,14 +173,14 @@ def make_suite(
         start_lla=start_lla,
         position=position,
         mount=attitude.matrix(roll, pitch, yaw).T,
-        turned=attitude.matrix(*error).T,
+        mounting_error=attitude.matrix(*error).T,
         where=component.where,
     )
     return Suite(fitting, has)
 
 
 def grades() -> list[dict[str, str]]:
-    """Every figure of every grade, for `ahrs-sim list grades`; the first row of a grade is its title."""
+    """List every figure of every grade, for `ahrs-sim list grades`; the first row of a grade is its title."""
     rows = []
     for name in grade_files.names():
         grade = grade_files.load(name, SECTIONS)
@@ -195,7 +198,7 @@ def _with_rate(overrides: dict[str, Any], rate: float | None) -> dict[str, Any]:
 
 
 def _choose(grade: Grade, wanted: Any, table: Table) -> tuple[str, ...]:
-    """The instruments to carry: `wanted`, or all that the grade has."""
+    """Choose the instruments to carry: `wanted`, or all that the grade has."""
     there = tuple(name for name in INSTRUMENTS if name in grade)
     if "imu" not in there:
         raise table.error("grade", f'{grade.name} has no imu; put it together with one: "bmi088 + {grade.name}"')

@@ -23,7 +23,7 @@ from ahrs_sim.sensors.sampling import BandLimit
 
 @dataclass(frozen=True)
 class TriadFigures:
-    """What all triads have; 1 sigma where a value is drawn. `*` is the quantity that the sensor measures."""
+    """Figures of any triad; 1 sigma where a value is drawn. `*` is the quantity that the sensor measures."""
 
     range: np.ndarray = figure("*", math.inf, size=3, minimum=0.0)
     quantum: float = figure("*", minimum=0.0)
@@ -43,7 +43,7 @@ class TriadFigures:
 
 @dataclass(frozen=True)
 class InertialFigures(TriadFigures):
-    """What gyro and accelerometer have besides."""
+    """Further figures of gyro and accelerometer."""
 
     vibration_rectification: np.ndarray = figure("*_per_g2", size=3, minimum=0.0)
     vibration_line: np.ndarray = figure("*", size=3, minimum=0.0)  # amplitude at the shaft's rate and reference speed
@@ -52,7 +52,7 @@ class InertialFigures(TriadFigures):
 
 @dataclass(frozen=True)
 class GyroFigures(InertialFigures):
-    """A gyro."""
+    """Further figures of a gyro."""
 
     g_sensitivity: float = figure("rate_per_g", minimum=0.0)
 
@@ -93,27 +93,27 @@ class Triad:
         # Whole quanta within the range, so that quantising what was clipped changes nothing more.
         self._limit = np.floor(f.range / f.quantum) * f.quantum if f.quantum > 0.0 else f.range
         self._mount = np.ascontiguousarray(fitting.mount)
-        self._true_mount = np.einsum("ij,jk->ik", fitting.turned, fitting.mount)
+        self._true_mount = np.einsum("ij,jk->ik", fitting.mounting_error, fitting.mount)
 
     @property
     def scale_sigma(self) -> float:
-        """One sigma for scale factor, misalignment and cross-axis sensitivity together, rad."""
+        """Compute one sigma for scale factor, misalignment and cross-axis sensitivity together, rad."""
         return math.hypot(rms(self.figures.scale), self.misalignment_sigma)
 
     @property
     def misalignment_sigma(self) -> float:
-        """One sigma for misalignment and cross-axis sensitivity together, rad."""
+        """Compute one sigma for misalignment and cross-axis sensitivity together, rad."""
         return math.hypot(math.tan(self.figures.misalignment), self.figures.cross_axis)
 
     def drawn(self) -> dict[str, np.ndarray]:
-        """The truth of what was drawn, SI, in the sensor's axes."""
+        """Return the errors that were drawn for this flight, SI, in the sensor's axes."""
         return {f"{self.name}.turn_on_bias": self.turn_on, f"{self.name}.matrix": self.matrix}
 
     def measure(
         self, u_b: np.ndarray, rows: slice, t: np.ndarray, extra: np.ndarray, added: np.ndarray | None = None,
         force_b: np.ndarray | None = None, rms2: np.ndarray | None = None, warmth: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-        """Samples of one block.
+        """Measure one block.
 
         Args:
             u_b: true quantity (n, 3) at every row of the truth, body axes.
@@ -158,7 +158,7 @@ def _triad(
     rectification: np.ndarray, tempco: np.ndarray, turn_on: np.ndarray, limit: np.ndarray, quantum: float,
     bias: np.ndarray, effective: np.ndarray, whole: bool, out: np.ndarray, saturated: np.ndarray,
 ) -> None:  # fmt: skip
-    """The equation at the head of this file, row by row.
+    """Evaluate the equation at the head of this file, row by row.
 
     `bias` (m, 3) comes as the in-run part in sensor axes and leaves as the whole in body axes.
     """

@@ -18,7 +18,7 @@ from ahrs_sim.sensors.triad import InertialFigures
 
 @dataclass(frozen=True)
 class MotorFigures:
-    """How the motor shakes what is mounted to the airframe."""
+    """Figures of the vibration that the motor causes in the airframe."""
 
     reference: float = figure("revolutions", 6000.0, minimum=1.0)  # speed at which amplitudes are stated
     harmonics: np.ndarray = figure("number", 0.0, size=3, minimum=0.0)  # relative amplitudes at 1, 2, 3 x shaft rate
@@ -59,7 +59,7 @@ class Vibration:
         self._silent = not (lines.any() or self._band.any())
 
     def shake(self, rpm: np.ndarray, rows: slice, m: int) -> tuple[np.ndarray, np.ndarray]:
-        """Vibration (m, 6) at the sampled `rows` of `rpm` (n,), and the mean square acceleration (m,), (m/s2)^2."""
+        """Compute vibration (m, 6) at the sampled `rows` of `rpm` (n,), and mean square acceleration (m,), (m/s2)^2."""
         out, square = np.zeros((m, 6)), np.zeros(m)
         if not self._silent:
             draws = self._rng.standard_normal((m, 6))
@@ -74,7 +74,7 @@ def _vibrate(
     every: int, in_phase: np.ndarray, in_quadrature: np.ndarray, band: np.ndarray, power: float, draws: np.ndarray,
     state: np.ndarray, out: np.ndarray, square: np.ndarray,
 ) -> None:  # fmt: skip
-    """Row h of the amplitudes (3, 6) belongs to harmonic h + 1; `state` is the shaft's angle, rad."""
+    """Add the lines: row h of the amplitudes (3, 6) is harmonic h + 1; `state` holds the shaft's angle, rad."""
     turn = 2.0 * math.pi
     m = 0
     for i in range(rpm.shape[0]):

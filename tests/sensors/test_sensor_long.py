@@ -33,7 +33,7 @@ def standing(grade: str, sensor: str, rate: float, hours: float = HOURS) -> tupl
         start_lla=START,
         position=np.zeros(3),
         mount=np.eye(3),
-        turned=np.eye(3),
+        mounting_error=np.eye(3),
         where=component(grade).where,
     )
     figures = loaded.figures(sensor, SENSORS[sensor])

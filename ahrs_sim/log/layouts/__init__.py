@@ -22,7 +22,7 @@ _COLORS = ("#2563eb", "#dc2626", "#059669", "#d97706", "#7c3aed", "#0891b2", "#b
 
 
 def describe() -> list[dict[str, Any]]:
-    """Name and path of every shipped layout, and which viewers import it."""
+    """List name and path of every shipped layout, and the viewers that import it."""
     folder = Path(str(resources.files(__name__)))
     return [
         {"name": path.stem, "path": str(path), "for": "Foxglove and Lichtblick: Layouts, Import from file"}
@@ -158,7 +158,7 @@ def build(suites: Mapping[str, Sequence[str]], estimators: Sequence[str]) -> dic
 
 
 def _stack(nodes: list[Node]) -> Node:
-    """Panels one above the other, all of the same height."""
+    """Stack panels one above the other, all of the same height."""
     first, *rest = nodes
     if not rest:
         return first
@@ -166,7 +166,7 @@ def _stack(nodes: list[Node]) -> Node:
 
 
 def _scene() -> dict[str, Any]:
-    """The aircraft's frame over a grid, seen from behind, in axes that do not turn with it."""
+    """Make the scene: the aircraft's frame over a grid, seen from behind, in axes that do not turn with it."""
     return {
         "foxglovePanelTitle": "Aircraft",
         "followTf": "base_link",

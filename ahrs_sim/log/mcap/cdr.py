@@ -3,12 +3,13 @@
 A definition is the text of a `.msg` file with those of its dependencies behind it, as an MCAP log carries it. From it
 follow
 
-    parse_definitions   what fields a message has
-    encode              one message as bytes, and where in them each number lives: a template for thousands alike
+    parse_definitions   the fields of a message
+    encode              one message as bytes, with the place of each number: a template for thousands like it
     decode              many messages at once into one structured NumPy array
 
-Nearly all messages of a channel differ in their numbers only: the same strings, the same array lengths, so the same
-places. `decode` reads each field of all of them with one strided copy, and falls into groups where a length differs.
+Nearly all messages of a channel differ in their numbers only: with the same strings and array lengths, every number
+has the same place. `decode` reads each field of all of them with one strided copy, and groups messages whose lengths
+differ.
 
 Plain CDR as every ROS 2 middleware writes it: 4 bytes of header, then each value aligned to its own size (at most 8),
 counted from behind the header; strings as length with NUL, NUL-terminated; sequences as length, then elements.
@@ -57,7 +58,7 @@ _FIXED = 1 << 20
 
 
 class CdrError(ValueError):
-    """A definition that cannot be understood, or bytes that do not follow theirs."""
+    """A definition that cannot be parsed, or bytes that contradict their definition."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,15 +78,15 @@ Definitions = dict[str, tuple[Field, ...]]
 
 
 def short_name(name: str) -> str:
-    """`package/Type` for `package/msg/Type`."""
+    """Shorten `package/msg/Type` to `package/Type`."""
     return name.replace("/msg/", "/")
 
 
 def parse_definitions(name: str, text: str) -> Definitions:
-    """The definitions in a `ros2msg` schema: that of `name` and of all it needs.
+    """Parse the definitions in a `ros2msg` schema: that of `name` and of all it needs.
 
     Raises:
-        CdrError: a line, a type or a dependency is not understood.
+        CdrError: a line, a type or a dependency is unknown.
     """
     definitions: Definitions = {}
     current = short_name(name)
@@ -148,7 +149,7 @@ def _fields(owner: str, lines: Sequence[str]) -> tuple[Field, ...]:
 
 
 def _leaves(definitions: Definitions, name: str, seen: dict[str, int], depth: int = 0) -> int:
-    """Values and arrays in a message, at any depth; refuses circles."""
+    """List values and arrays in a message, at any depth; refuse circles."""
     if depth > _DEPTH:
         raise CdrError(f"{name}: types within types, more than {_DEPTH} levels deep")
     if name not in seen:
@@ -163,10 +164,10 @@ def _leaves(definitions: Definitions, name: str, seen: dict[str, int], depth: in
 
 
 def message_dtype(definitions: Definitions, name: str) -> np.dtype[Any]:
-    """The NumPy type that `decode` returns for a message type: nested like the message, whatever the bytes.
+    """Make the NumPy type that `decode` returns for a message type: nested like the message, whatever the bytes.
 
-    Numbers and fixed arrays of them as they are, strings as `str` objects, sequences as objects holding one array per
-    message.
+    Numbers and fixed arrays of them keep their types; strings become `str` objects, sequences objects that hold one
+    array a message.
     """
     columns: list[tuple[Any, ...]] = []
     for field in definitions[short_name(name)]:
@@ -186,7 +187,7 @@ def message_dtype(definitions: Definitions, name: str) -> np.dtype[Any]:
 
 
 def _least_size(definitions: Definitions, name: str) -> int:
-    """Bytes that a message needs at least, alignment not counted."""
+    """Count the bytes that a message needs at least, alignment not counted."""
     size = 0
     for field in definitions[name]:
         if field.count == -1 or field.type == "string":
@@ -204,7 +205,7 @@ def _least_size(definitions: Definitions, name: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a number, or an array of them, lives in an encoded message."""
+    """Place of a number, or of an array of them, in an encoded message."""
 
     offset: int  # bytes from the start of the payload, header included
     dtype: str
@@ -312,7 +313,7 @@ class _Encoder:
 
 
 def encode(definitions: Definitions, name: str, value: Mapping[str, Any]) -> tuple[bytes, dict[str, Place]]:
-    """One message as CDR, and the place of every number in it.
+    """Encode one message as CDR; also return the place of every number in it.
 
     Args:
         definitions: from `parse_definitions`.
@@ -335,7 +336,7 @@ def encode(definitions: Definitions, name: str, value: Mapping[str, Any]) -> tup
 
 
 class _Varies(Exception):
-    """The messages at hand differ in the length stored at `offset`."""
+    """Messages differ in the length stored at `offset`."""
 
     def __init__(self, offset: int) -> None:
         self.offset = offset

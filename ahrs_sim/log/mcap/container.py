@@ -37,7 +37,7 @@ Index = dict[int, np.ndarray]
 
 
 def _encoded(record: McapRecord) -> bytes:
-    """A record as it stands in a file."""
+    """Encode a record as it is stored in a file."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]
@@ -69,23 +69,23 @@ class Container:
         self._at += len(data)
 
     def _record(self, record: McapRecord) -> tuple[int, int]:
-        """Write a record; its offset and length."""
+        """Write a record; return its offset and length."""
         start = self._at
         self._write(_encoded(record))
         return start, self._at - start
 
     def flush(self) -> None:
-        """Hand everything to the operating system: it outlives this process from here on."""
+        """Hand everything to the operating system, so that it survives the death of this process."""
         self._stream.flush()
 
     def schema(self, schema: Schema) -> None:
-        """Write a schema; one already there is left alone."""
+        """Write a schema; skip one that is already there."""
         if schema.id not in self._schemas:
             self._schemas[schema.id] = schema
             self._record(schema)
 
     def channel(self, channel: Channel) -> None:
-        """Write a channel; one already there is left alone."""
+        """Write a channel; skip one that is already there."""
         if channel.id not in self._channels:
             self._channels[channel.id] = channel
             self._record(channel)
@@ -138,7 +138,7 @@ class Container:
 
     @property
     def message_count(self) -> int:
-        """Messages in the chunks so far."""
+        """Number of messages in the chunks so far."""
         return sum(self._counts.values())
 
     @property

@@ -1,4 +1,4 @@
-"""The MCAP container for reading: what is in a file, and its pieces uncompressed.
+"""The MCAP container for reading: contents of a file, and its pieces uncompressed.
 
 Lengths and offsets in a file are not trusted: each is checked against what is there before anything is allocated.
 Knows nothing of messages' contents; the other direction is `ahrs_sim.log.mcap.container`.
@@ -78,7 +78,7 @@ class Piece:
 
 @dataclass(slots=True)
 class Contents:
-    """What the summary of a log says, or a search found."""
+    """Contents of a log as stated by its summary, or found by a search."""
 
     header: Header
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -96,7 +96,7 @@ class LogFile:
         path: an MCAP file.
 
     Raises:
-        InputError: not there, not MCAP, unfinished or damaged; the message says what to do.
+        InputError: not there, not MCAP, unfinished or damaged; the message names the remedy.
     """
 
     def __init__(self, path: Path) -> None:
@@ -115,7 +115,7 @@ class LogFile:
         self._stream.close()
 
     def guard(self, action: Callable[[], T]) -> T:
-        """Run `action`; whatever damage it meets becomes one `InputError`."""
+        """Run `action` and raise any damage that it finds as one `InputError`."""
         try:
             return action()
         except UnknownCompression as error:
@@ -161,7 +161,7 @@ class LogFile:
         return header
 
     def _summary(self, footer: Footer, end: bytes, header: Header) -> Contents | None:
-        """The contents as the summary states them; None when it does not state enough."""
+        """Read the contents from the summary; None when it is incomplete."""
         data = self._at(footer.summary_start, self.size - len(MAGIC) - _FOOTER - footer.summary_start)
         if footer.summary_crc and zlib.crc32(end[:-4], zlib.crc32(data)) != footer.summary_crc:
             raise Damaged("the summary does not match its checksum")
@@ -213,7 +213,7 @@ class LogFile:
         return contents if enough else None
 
     def _search(self, header: Header) -> Contents:
-        """The contents as found by walking through a file whose summary says too little."""
+        """Find the contents by walking through a file whose summary is incomplete."""
         contents = Contents(header)
         run_start = at = len(MAGIC)
         run_messages = False
@@ -273,9 +273,9 @@ class LogFile:
         return contents
 
     def load(self, piece: Piece, wanted: set[int] | None, found: Contents | None = None) -> Messages:
-        """A piece uncompressed, and where in it are the messages of the channels `wanted` (None: of all).
+        """Uncompress a piece and find the messages of the channels `wanted` (None: of all) in it.
 
-        Schemas and channels that are met go into `found`.
+        Schemas and channels in it are added to `found`.
         """
         raw = self._at(piece.offset, piece.length + (piece.index_length if piece.index is not None else 0))
         if not piece.chunked:
@@ -307,7 +307,7 @@ class LogFile:
         return Messages(data, offsets)
 
     def indexed(self, index: AttachmentIndex | MetadataIndex, opcode: Opcode, read: Callable[[ReadDataStream], T]) -> T:
-        """The attachment or metadata record that an index points at.
+        """Read the attachment or metadata record that an index points at.
 
         Raises:
             InputError: it is damaged.
@@ -337,7 +337,7 @@ def open_file(path: Path) -> IO[bytes]:
 
 
 def read_at(stream: IO[bytes], size: int, offset: int, length: int) -> bytes:
-    """Bytes of a file of `size` bytes.
+    """Read bytes of a file of `size` bytes.
 
     Raises:
         Damaged: they are not all inside, or more than anything should have.
@@ -354,7 +354,7 @@ def read_at(stream: IO[bytes], size: int, offset: int, length: int) -> bytes:
 
 
 def records(data: bytes | memoryview, at: int = 0) -> Iterator[tuple[int, int, int]]:
-    """Opcode, offset and length of the content of each record from `at` on.
+    """Find opcode, offset and length of the content of each record from `at` on.
 
     Raises:
         Damaged: the last one is longer than the data.
@@ -372,7 +372,7 @@ def records(data: bytes | memoryview, at: int = 0) -> Iterator[tuple[int, int, i
 
 
 def uncompress(chunk: memoryview) -> bytes:
-    """The content of a chunk record.
+    """Uncompress the content of a chunk record.
 
     Raises:
         Damaged: its compression is unknown, or sizes or checksum do not agree.
@@ -388,7 +388,7 @@ def uncompress(chunk: memoryview) -> bytes:
     (stored,) = struct.unpack_from("<Q", chunk, at)
     data = chunk[at + 8 :]
     if stored != len(data):
-        raise Damaged("a chunk is longer or shorter than it says")
+        raise Damaged("a chunk is longer or shorter than its header states")
     if size > MAX_CHUNK:
         raise Damaged(f"a chunk of {size} bytes is larger than any should be")
     if compression == "zstd":
@@ -400,7 +400,7 @@ def uncompress(chunk: memoryview) -> bytes:
     else:
         raise UnknownCompression(compression)
     if len(content) != size:
-        raise Damaged("a chunk has not the size it says")
+        raise Damaged("a chunk has not the size that its header states")
     if crc and zlib.crc32(content) != crc:
         raise Damaged("a chunk does not match its checksum")
     return content
@@ -430,7 +430,7 @@ def _lz4(data: memoryview, size: int) -> bytes:
 def find_messages(
     data: bytes | memoryview, wanted: set[int] | None, found: Contents | None = None
 ) -> dict[int, np.ndarray]:
-    """Offsets of the messages in a run of records, by channel; schemas and channels met go into `found`."""
+    """Find the messages in a run of records: offsets by channel; add schemas and channels to `found`."""
     offsets: dict[int, array[int]] = {}
     channel_of = struct.Struct("<H").unpack_from
     whole = np.frombuffer(data, np.uint8)
@@ -460,7 +460,7 @@ def find_messages(
 
 
 def alike(data: np.ndarray, size: int) -> np.ndarray:
-    """The whole records of `size` bytes (n, size) at the beginning of `data` with the same opcode and length."""
+    """Select the whole records of `size` bytes (n, size) at the beginning of `data` with one opcode and length."""
     rows = data[: len(data) // size * size].reshape(-1, size)
     n, step = 1, 16
     while n < len(rows):
@@ -482,7 +482,7 @@ def register(contents: Contents, opcode: int, body: bytes) -> None:
 
 
 def parse(read: Callable[[ReadDataStream], T], body: bytes) -> T:
-    """A record from its content.
+    """Parse a record from its content.
 
     Raises:
         Damaged: the content is not that of such a record.
@@ -504,18 +504,18 @@ _HEAD_TYPE = np.dtype(
 
 
 def head_view(rows: np.ndarray) -> np.ndarray:
-    """Heads of messages that are rows of bytes (n, size)."""
+    """View the heads of messages that are rows of bytes (n, size)."""
     return np.ndarray((len(rows),), _HEAD_TYPE, rows, 0, (rows.strides[0],))
 
 
 def rows_at(data: np.ndarray, offsets: np.ndarray, size: int) -> np.ndarray:
-    """Copy of `size` bytes at each offset, (n, size); the caller has checked that they are inside."""
+    """Copy `size` bytes at each offset, (n, size); the caller has checked that they are inside."""
     copy: np.ndarray = np.ndarray((data.size - size + 1, size), np.uint8, data, 0, (1, 1))[offsets]
     return copy
 
 
 def message_heads(data: np.ndarray, offsets: np.ndarray, channel: int | np.ndarray) -> np.ndarray:
-    """Heads of the messages of a channel at `offsets`, checked to be that, to lie inside and to be of our time.
+    """Read the heads of a channel's messages at `offsets`; check channel, size and time.
 
     Raises:
         Damaged: they are not.

@@ -6,7 +6,7 @@
         for block in log.blocks(["/truth/imu", "/est/ekf-chr/state"]):      # bounded memory, in order of log time
             ...
 
-What is wrong with a file is one `InputError` naming it.
+Damage is reported as one `InputError` that names the file.
 """
 
 import contextlib
@@ -46,7 +46,7 @@ class TopicInfo:
 
     @property
     def readable(self) -> bool:
-        """Whether its messages can be decoded, by the look of it: ROS 2."""
+        """Whether its messages can be decoded, by profile and encoding: ROS 2."""
         return self.encoding == "cdr" and self.schema_encoding == "ros2msg"
 
 
@@ -58,7 +58,7 @@ class LogReader:
         known: definitions of a type by its name (KeyError: none), for CDR whose schema is of another form.
 
     Raises:
-        InputError: not there, not MCAP, unfinished or damaged; the message says what to do.
+        InputError: not there, not MCAP, unfinished or damaged; the message names the remedy.
     """
 
     def __init__(self, path: str | Path, known: Callable[[str], Definitions] | None = None) -> None:
@@ -93,12 +93,12 @@ class LogReader:
 
     @property
     def library(self) -> str:
-        """What wrote the file."""
+        """Library that wrote the file."""
         return self._contents.header.library
 
     @property
     def size(self) -> int:
-        """Of the file, bytes."""
+        """Size of the file, bytes."""
         return self._file.size
 
     @property
@@ -115,7 +115,7 @@ class LogReader:
 
     @property
     def message_count(self) -> int:
-        """Messages in the log."""
+        """Number of messages in the log."""
         return sum(self._contents.counts.values())
 
     @property
@@ -157,7 +157,7 @@ class LogReader:
         return {a.name: a.data_size for a in self._contents.attachments}
 
     def attachment(self, name: str) -> bytes:
-        """An attachment's content.
+        """Read an attachment's content.
 
         Raises:
             InputError: there is none of that name, or it is damaged.
@@ -169,7 +169,7 @@ class LogReader:
         raise InputError(f"{self.path}: no attachment '{name}'{nearest(name, self.attachments)}")
 
     def dtype(self, topic: str) -> np.dtype[Any]:
-        """The type of `read(topic)`: `log_time` (int64, ns since 1970), then the fields of the message.
+        """Make the type of `read(topic)`: `log_time` (int64, ns since 1970), then the fields of the message.
 
         Raises:
             InputError: no such topic, or one that is not ROS 2 CDR.
@@ -189,7 +189,7 @@ class LogReader:
     def read(
         self, topics: str | Sequence[str], start: int | None = None, end: int | None = None
     ) -> np.ndarray | dict[str, np.ndarray]:
-        """All messages of one topic, or of several by topic, sorted by log time.
+        """Read all messages of one topic, or of several by topic, sorted by log time.
 
         Args:
             topics: one or several.
@@ -226,7 +226,7 @@ class LogReader:
     def blocks(
         self, topics: str | Sequence[str], start: int | None = None, end: int | None = None
     ) -> Iterator[np.ndarray] | Iterator[dict[str, np.ndarray]]:
-        """As `read`, portion by portion in memory that does not grow with the file.
+        """Read as `read`, portion by portion in memory that does not grow with the file.
 
         Log times of a portion are not before those of the one before it. With several topics each portion has all of
         them, some maybe empty.
@@ -260,7 +260,7 @@ class LogReader:
                 yield ready
 
     def carried(self, topics: Collection[str]) -> dict[int, tuple[Channel, Schema | None]]:
-        """Channels of `topics` with their schemas, by number: for `LogWriter.carry`."""
+        """Collect channels of `topics` with their schemas, by number, for `LogWriter.carry`."""
         channels = self._contents.channels
         return {
             n: (channels[n], self._contents.schemas.get(channels[n].schema_id))
@@ -270,7 +270,7 @@ class LogReader:
         }
 
     def raw_blocks(self, numbers: Collection[int]) -> Iterator[tuple[int, dict[int, list[np.ndarray]]]]:
-        """Message records of channels as they are, in bounded memory, whatever their encoding.
+        """Yield message records of channels unchanged, in bounded memory, whatever their encoding.
 
         Yields:
             A log time (ns) before which nothing will follow, and records (n, size) uint8 by channel, in the order of
@@ -288,7 +288,7 @@ class LogReader:
             yield (pieces[i + 1].start if i + 1 < len(pieces) else piece.end), found
 
     def frame(self, topic: str, start: int | None = None, end: int | None = None) -> "pandas.DataFrame":
-        """One topic as a pandas frame: a column for each number (`angular_velocity.x`, `innovation.0`), index log time.
+        """Read one topic as a pandas frame indexed by log time, a column for each number (`angular_velocity.x`).
 
         Raises:
             InputError: as `read`.
@@ -304,7 +304,7 @@ class LogReader:
     # ------------------------------------------------------------------------------------------- choosing
 
     def _plan(self, topic: str) -> list[int]:
-        """Channel numbers of a topic, checked to be decodable."""
+        """Find the channels of a topic and check that they can be decoded."""
         if topic not in self._topics:
             raise InputError(f"{self.path}: no topic '{topic}'{nearest(topic, self._topics)}")
         numbers = self._topics[topic]
@@ -338,7 +338,7 @@ class LogReader:
         return numbers
 
     def _described(self, schema: Schema) -> bool:
-        """Whether a schema says how its messages look, or names a type that is known."""
+        """Test whether a schema defines its messages, or names a type that is known."""
         return schema.encoding == "ros2msg" or (
             schema.encoding == "ros2idl" and self._of_known(schema.name) is not None
         )
@@ -367,7 +367,7 @@ class LogReader:
         return sorted(chosen, key=lambda p: p.start)
 
     def _loaded(self, pieces: Sequence[Piece], wanted: set[int]) -> Iterator[Messages]:
-        """Pieces uncompressed, the next one by another thread meanwhile: zstd and CRC do without Python's lock."""
+        """Yield pieces uncompressed, the next one prepared by another thread: zstd and CRC release Python's lock."""
         with ThreadPoolExecutor(1) as worker:
             ahead = [worker.submit(self._file.load, piece, wanted) for piece in pieces[:1]]
             for i in range(len(pieces)):
@@ -402,7 +402,7 @@ class LogReader:
                 rows[number].add(data, places[chosen][kept], sizes[chosen][kept])
 
     def _decoded(self, numbers: list[int], rows: "dict[int, _Rows]") -> np.ndarray:
-        """The messages gathered of some channels of one topic, in the order of the file; the rows are used up."""
+        """Decode the gathered messages of some channels of one topic, in the order of the file; empty the rows."""
         dtype = self._dtype(numbers)
         arrays = []
         for number in numbers:
@@ -424,13 +424,13 @@ def _numbers(plans: dict[str, list[int]]) -> set[int]:
 
 
 def _in_order(array: np.ndarray) -> np.ndarray:
-    """Sorted by log time, equal times as they were."""
+    """Sort by log time; equal times keep their order."""
     times = np.ascontiguousarray(array["log_time"])
     return array if (times[1:] >= times[:-1]).all() else array[np.argsort(times, kind="stable")]
 
 
 class _Rows:
-    """Messages of one channel, as rows of bytes."""
+    """Messages of one channel as rows of bytes."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -452,7 +452,7 @@ class _Rows:
             self._by_size.setdefault(int(size), []).append((rows_at(data, offsets[same], int(size)), which[same]))
 
     def batches(self) -> Iterator[tuple[np.ndarray, np.ndarray | slice]]:
-        """Rows of equal size in handy portions, and which messages they are; used up."""
+        """Yield rows of equal size in handy portions with the numbers of their messages; empty the rows."""
         uniform = len(self._by_size) == 1
         for parts in self._by_size.values():
             parts.reverse()
@@ -473,12 +473,12 @@ class _Rows:
 
 
 def vector(column: np.ndarray) -> np.ndarray:
-    """(n, 3) from a column of `geometry_msgs/Vector3` or `Point`."""
+    """Make an array (n, 3) from a column of `geometry_msgs/Vector3` or `Point`."""
     return np.stack([column["x"], column["y"], column["z"]], axis=-1)
 
 
 def quaternion(column: np.ndarray) -> np.ndarray:
-    """(n, 4) scalar first from a column of `geometry_msgs/Quaternion`."""
+    """Make an array (n, 4), scalar first, from a column of `geometry_msgs/Quaternion`."""
     return np.stack([column["w"], column["x"], column["y"], column["z"]], axis=-1)
 
 
@@ -492,14 +492,14 @@ def is_stamped(dtype: np.dtype[Any]) -> bool:
 
 
 def stamps(array: np.ndarray) -> np.ndarray:
-    """(n,) int64, ns since 1970: the header stamps of an array from `read` (see `is_stamped`)."""
+    """Convert the header stamps of an array from `read` (see `is_stamped`) to (n,) int64, ns since 1970."""
     stamp = array["header"]["stamp"]
     nanoseconds: np.ndarray = stamp["sec"].astype(np.int64) * 1_000_000_000 + stamp["nanosec"]
     return nanoseconds
 
 
 def flatten(array: np.ndarray, prefix: str = "") -> Iterator[tuple[str, np.ndarray]]:
-    """Name and values of every column of an array from `read`: `angular_velocity.x`, `innovation.0`."""
+    """Yield name and values of every column of an array from `read`: `angular_velocity.x`, `innovation.0`."""
     for name in array.dtype.names or ():
         column = array[name]
         path = f"{prefix}{name}"

@@ -1,4 +1,4 @@
-"""Make a log of what an interrupted flight has left, or of any MCAP file that is cut off or damaged.
+"""Repair the log of an interrupted flight, or any MCAP file that is cut off or damaged.
 
 Everything whole is kept as it is: whole chunks, loose messages, schemas, metadata, attachments. The indexes and the
 summary are made anew. A log that was finished comes out byte for byte the same.
@@ -38,7 +38,7 @@ _DAMAGE = (Damaged, struct.error, UnicodeDecodeError, OverflowError)
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """What came back."""
+    """Counts of what was recovered."""
 
     messages: int
     end_ns: int  # latest log time, ns since 1970; 0 without messages
@@ -57,7 +57,7 @@ class Recovered:
 
 
 def recover(part: str | Path, output: str | Path, *, force: bool = False) -> Recovered:
-    """Make the log `output` of all that is whole in `part`, which stays as it is.
+    """Write a log `output` from all that is whole in `part`, which is not changed.
 
     Raises:
         InputError: `part` is not (the beginning of) an MCAP file, or `output` exists or cannot be created.
@@ -95,7 +95,7 @@ def recover(part: str | Path, output: str | Path, *, force: bool = False) -> Rec
 
 
 class _Walk:
-    """Goes through the records of a file one by one and copies what is whole."""
+    """Walks through the records of a file and copies the whole ones."""
 
     def __init__(self, path: Path, source: IO[bytes]) -> None:
         self.source = source
@@ -115,7 +115,7 @@ class _Walk:
         raise InputError(f"{path}: not the beginning of an MCAP log; there is nothing to recover")
 
     def next(self) -> tuple[int, bytes]:
-        """The next record; stays in front of it when it is not whole."""
+        """Read the next record; stay in front of it when it is not whole."""
         opcode, length = RECORD_HEAD.unpack(read_at(self.source, self.size, self.at, RECORD_HEAD.size))
         known = opcode in _OPCODES  # others may be of any length; nothing is done with them
         body = read_at(self.source, self.size, self.at + RECORD_HEAD.size, length) if known else b""
@@ -125,7 +125,7 @@ class _Walk:
         return opcode, body
 
     def into(self, stream: IO[bytes]) -> Recovered:
-        """Write everything whole from here on."""
+        """Write all whole records from here on."""
         self.file = Container(stream, self.header)
         complete, lost = False, 0
         while True:
@@ -150,7 +150,7 @@ class _Walk:
         return result
 
     def ends_well(self) -> bool:
-        """Whether there is a footer at the end of the file."""
+        """Test for a footer at the end of the file."""
         tail = RECORD_HEAD.size + 20 + len(MAGIC)
         end = read_at(self.source, self.size, max(self.size - tail, 0), min(tail, self.size))
         return end.endswith(MAGIC) and end.startswith(RECORD_HEAD.pack(Opcode.FOOTER, 20))
@@ -192,7 +192,7 @@ class _Walk:
             index[number] = np.column_stack((times, offsets.astype(np.uint64)))
         self.declare()
         if index:
-            # Not what the chunk says of itself: readers choose by these.
+            # Found, not as the chunk states: readers choose by these.
             chunk.message_start_time = min(int(entries[:, 0].min()) for entries in index.values())
             chunk.message_end_time = max(int(entries[:, 0].max()) for entries in index.values())
         self.file.chunk(chunk, index)

@@ -7,9 +7,9 @@
         log.write(imu, arrival_ns, stamp_ns, angular_velocity=gyro_b, linear_acceleration=accel_b)
         log.advance(t_ns)
 
-All messages of a call are laid down at once: a copy of the channel's template for each, then one strided copy a field.
-Chunks are cut on a fixed grid of log time, so the bytes of the file depend on what was written and not on the portions
-it came in. One worker thread compresses and writes; its queue is short, so memory stays bounded.
+All messages of a call are encoded at once: a copy of the channel's template for each, then one strided copy a field.
+Chunks are cut on a fixed grid of log time, so that the bytes of the file depend on the messages and not on the calls
+that wrote them. One worker thread compresses and writes; its queue is short, so memory stays bounded.
 """
 
 import contextlib
@@ -54,7 +54,7 @@ _QUEUE = 8
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic as a listener to a log being written gets it."""
+    """A topic as announced to a listener of a log being written."""
 
     number: int
     name: str
@@ -65,7 +65,7 @@ class Topic:
 
 
 class Listener(Protocol):
-    """Who is given every message of a log on its way to the file, in the order of the file (`ahrs_sim.log.live`)."""
+    """Receiver of every message of a log on its way to the file, in the order of the file (`ahrs_sim.log.live`)."""
 
     def begin(self, topics: Sequence[Topic]) -> None:
         """Announce the topics, before the first message."""
@@ -206,7 +206,7 @@ class LogWriter:
         return channel
 
     def carry(self, channel: Channel, schema: Schema | None) -> CarriedChannel:
-        """A topic of another log (`LogReader.carried`), for `pass_on`.
+        """Add a topic of another log (`LogReader.carried`), for `pass_on`.
 
         Raises:
             ValueError: the topic is one of ours already, or the log is started.
@@ -315,7 +315,7 @@ class LogWriter:
         self._append(channel, rows, np.array([log_time_ns]), np.array([stamp_ns]))
 
     def pass_on(self, channel: CarriedChannel, rows: np.ndarray) -> None:
-        """Message records (n, size) uint8 of `LogReader.raw_blocks`; changed in place.
+        """Write message records (n, size) uint8 of `LogReader.raw_blocks`; they are changed in place.
 
         Raises:
             ValueError: the log is not open, or a message is older than the last `advance`.
@@ -345,7 +345,7 @@ class LogWriter:
         channel.pending.append(rows)
 
     def advance(self, t_ns: int) -> None:
-        """Everything that arrived up to `t_ns` has been written: whole chunks before it may go to the file.
+        """Declare data complete up to `t_ns`: whole chunks before it may go to the file.
 
         Raises:
             LogError: the log could not be written.
@@ -454,7 +454,7 @@ class LogWriter:
     # ------------------------------------------------------------------------------------------- the end
 
     def _drain(self) -> None:
-        """All messages to the file, the worker finished."""
+        """Send all messages to the file and finish the worker."""
         if self._worker:
             self._emit(_END_OF_TIME)
             self._put(None)
@@ -498,7 +498,7 @@ class LogWriter:
             return False
 
     def abort(self) -> None:
-        """Stop: everything written goes into the `.part`, which stays for `recover`."""
+        """Stop writing: put everything into the `.part`, which stays for `recover`."""
         if self._closed:
             return
         self._closed = True
@@ -520,5 +520,5 @@ class LogWriter:
 
 
 def _records(rows: np.ndarray) -> np.ndarray:
-    """The heads of message records (n, size) uint8 as a structured view (n,)."""
+    """View the heads of message records (n, size) uint8 as a structured array (n,)."""
     return np.ndarray((len(rows),), _RECORD, buffer=rows, strides=(rows.strides[0],))

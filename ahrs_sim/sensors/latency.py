@@ -1,4 +1,4 @@
-"""The line from an instrument to its receiver: a message arrives some time after its stamp, in order."""
+"""Latency between an instrument and its receiver: messages arrive some time after their stamps, in order."""
 
 import dataclasses
 from typing import Any
@@ -10,8 +10,8 @@ from ahrs_sim.sensors.records import Record
 from estimators.types import blank
 
 
-class Outbox:
-    """Holds messages until they arrive, so that a block holds what is there by its end, however long it is.
+class LatencyBuffer:
+    """Buffers messages until they arrive, so that a block holds what has arrived by its end, however long it is.
 
     Args:
         cls: type of the records.
@@ -27,11 +27,11 @@ class Outbox:
         self._held = 0  # records waiting
         self._last = np.iinfo(np.int64).min  # ns, latest arrival so far
 
-    def post(self, records: Any, t: np.ndarray, now: float) -> Any:
-        """Send `records` of the slots at `t` (m,) s, whose `arrival_ns` is their slot.
+    def push(self, records: Any, t: np.ndarray, now: float) -> Any:
+        """Queue records sampled at `t` (m,) s; `arrival_ns` must equal the sampling time and becomes the arrival time.
 
         Returns:
-            What has arrived by `now` (s), of these and earlier ones.
+            The records that have arrived by `now` (s), of these and earlier ones.
         """
         touched = self._channel.deliver(t)
         if touched is None and not self._latency_ns and not self._held:
@@ -51,10 +51,10 @@ class Outbox:
                 kept = dataclasses.replace(records[keep], arrival_ns=arrival)
                 self._waiting = type(records).concatenate([self._waiting, kept]) if self._held else kept
                 self._held += len(arrival)
-        return self.wait(now)
+        return self.pop(now)
 
-    def wait(self, now: float) -> Any:
-        """What has arrived by `now` (s)."""
+    def pop(self, now: float) -> Any:
+        """Return the records that have arrived by `now` (s)."""
         if not self._held:
             return self._empty
         there = int(np.searchsorted(self._waiting.arrival_ns, round(now * 1e9), side="right"))
