@@ -82,16 +82,17 @@ class Route:
                 columns[place[0]][:, place[1]] = values
 
 
+ODOMETRY = Route(
+    "/truth/odometry",
+    "nav_msgs/msg/Odometry",
+    NED,
+    "Of the centre of gravity: position from where the flight began (m), attitude, velocity (m/s) and inertial "
+    "rate (rad/s), both in body axes.",
+    {"pose.pose.orientation": "q_nb"},
+    {"child_frame_id": FRD},
+)
 TRUTH: tuple[Route, ...] = (
-    Route(
-        "/truth/odometry",
-        "nav_msgs/msg/Odometry",
-        NED,
-        "Of the centre of gravity: position from where the flight began (m), attitude, velocity (m/s) and inertial "
-        "rate (rad/s), both in body axes.",
-        {"pose.pose.orientation": "q_nb"},
-        {"child_frame_id": FRD},
-    ),
+    ODOMETRY,
     Route(
         "/truth/imu",
         "sensor_msgs/msg/Imu",
@@ -139,7 +140,6 @@ TRUTH: tuple[Route, ...] = (
         },
     ),
 )
-ODOMETRY = TRUTH[0]
 TRUTH_FIX = Route(
     "/truth/fix",
     "sensor_msgs/msg/NavSatFix",
