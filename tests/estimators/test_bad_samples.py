@@ -13,7 +13,10 @@ AIDED = [
     for name, others in (("marg-ekf", ("airspeed", "gnss")), ("ins21", ("gnss+airspeed", "none")))
     for aiding in others
 ]
-ENTRIES = [pytest.param(m.name, {}, id=m.name) for m in describe() if m.own]
+SLOW = {"ins-cal"}  # 61 states: as long as all others together
+ENTRIES = [
+    pytest.param(m.name, {}, id=m.name, marks=[pytest.mark.long] if m.name in SLOW else []) for m in describe() if m.own
+]
 ENTRIES += [pytest.param(name, {"aiding": aiding}, id=f"{name}-{aiding}") for name, aiding in AIDED]
 ROWS = slice(1500, 1700)  # in flight, after alignment
 METRES = 1.0 / 6.37e6  # rad
