@@ -15,9 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ahrs_sim import attitude, pipeline, scenario
+from ahrs_sim import pipeline, scenario
 from ahrs_sim.cli import main
-from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.mcap.reader import LogReader
 
 ROOT = Path(__file__).parents[1]
@@ -268,106 +267,3 @@ def test_fly_does_not_import_what_it_does_not_need(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not set(done.stdout.split()) & {"pandas", "scipy.signal", "matplotlib", "rosbags"}
-
-
-CLOSED = """
-extends = "circuit"
-duration_s = 100.0
-[suite.chr]
-rate_hz = 50.0
-[pilot]
-attitude = "pilot-chr"
-[estimator.pilot-chr]
-method = "marg-ckf"
-suite = "chr"
-aiding = "{}"
-"""
-
-
-def test_the_aircraft_flies_on_an_estimate(tmp_path: Path) -> None:
-    scene, log = tmp_path / "closed.toml", tmp_path / "closed.mcap"
-    scene.write_text(CLOSED.format("airspeed"))
-    assert fly(scene, "-o", log, "--estimator", "pilot-chr") == 0
-    closed = compare(log)
-    assert closed["to_s"] == pytest.approx(100, abs=0.1)
-    assert closed["estimators"]["pilot-chr"]["tilt_rmse_deg"] < 3.0
-    opened = tmp_path / "open.mcap"
-    scene.write_text(CLOSED.format("airspeed").replace("attitude", "#"))
-    assert fly(scene, "-o", opened, "--estimator", "pilot-chr") == 0
-    with FlightReader(log) as a, FlightReader(opened) as b:
-        flown, on_truth = a.truth(), b.truth()
-    standing = slice(0, 5000)
-    assert flown[standing].lla.tobytes() == on_truth[standing].lla.tobytes(), "the loop matters only once it moves"
-    assert np.abs(flown.height_agl - on_truth.height_agl).max() < 10
-    assert np.abs(flown.height_agl - on_truth.height_agl).max() > 0.01, "the estimate's errors are flown"
-
-
-def by_step(reader: FlightReader) -> np.ndarray:
-    """Height (steps, 400), m, at equal shares of every step: steps end when the pilot is content, sooner or later."""
-    truth, events = reader.truth(), reader.events()
-    begin = [e.t for e in events if e.text.endswith("begins")]
-    spans = zip(begin, [*begin[1:], truth.t[-1]], strict=True)
-    return np.array([np.interp(np.linspace(*span, 400), truth.t, truth.height_agl) for span in spans])
-
-
-@pytest.fixture(scope="module")
-def heights_on_the_truth(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
-    """Height by step of the closed loop's circuit, flown on the truth, once for all estimators."""
-    log = tmp_path_factory.mktemp("truth") / "truth.mcap"
-    assert fly("closed_loop", "-o", log, "--pilot", "truth", "--estimator", "ckf-air-chr") == 0
-    with FlightReader(log) as reader:
-        return by_step(reader)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("pilot", ["ins21-chr", "ckf-air-chr"])
-def test_closed_loop_on_estimates_flies_as_on_the_truth(
-    tmp_path: Path, heights_on_the_truth: np.ndarray, pilot: str
-) -> None:
-    """The whole circuit, from take-off to standing still again."""
-    log = tmp_path / f"{pilot}.mcap"
-    assert fly("closed_loop", "-o", log, "--pilot", pilot, "--estimator", pilot) == 0
-    with FlightReader(log) as reader:
-        heights = {"truth": heights_on_the_truth, pilot: by_step(reader)}
-    figures = compare(log)["estimators"][pilot]
-    # Gusts near the ground are those of the height above it: the airspeed that aids the filter gusts as well (1.5 deg).
-    limit = {"ins21-chr": 1.2, "ckf-air-chr": 1.8}[pilot]
-    assert figures["tilt_rmse_deg"] < limit
-    assert figures["phases"]["turning"]["tilt_rmse_deg"] < limit
-    assert figures["phases"]["turning"]["samples"] > 20000
-    assert heights[pilot].shape == heights["truth"].shape == (20, 400)
-    off = np.abs(heights[pilot] - heights["truth"]).max()
-    assert 0.01 < off < 10.0, "the estimate's errors are flown"
-
-
-@pytest.mark.long
-def test_the_papers_filter_crashes_in_its_first_turn(tmp_path: Path) -> None:
-    """Straight and level it flies on; in a turn it sees no bank, and the autopilot banks on and on."""
-    log = tmp_path / "turn.mcap"
-    done = run("fly", "closed_loop_turn", "--pilot", "ckf-chr", "--estimator", "ckf-chr", "-o", log, "--quiet")
-    assert done.returncode == 1
-    assert re.search(r"crash at .* in step 7 \(turn\)", done.stderr)
-    with FlightReader(log) as reader:
-        truth, estimate = reader.truth(), reader.estimates("ckf-chr")
-        turn = next(e.t for e in reader.events() if e.text == "step 7 (turn) begins")
-    at = {}
-    for name, t, q_nb in (("flown", truth.t, truth.q_nb), ("said", estimate.t, estimate.q_nb)):
-        at[name] = np.interp(turn + 1.7, t, np.degrees(attitude.euler(q_nb)[:, 0]))
-    assert at["flown"] > 60.0
-    assert at["said"] < 30.0, "the bank asked for is not reached, so it banks on"
-
-
-def test_a_crash_ends_the_flight_with_an_event_and_a_whole_log(tmp_path: Path) -> None:
-    """The unaided filter takes the acceleration of the take-off for a pitch of tens of degrees."""
-    scene, log = tmp_path / "closed.toml", tmp_path / "closed.mcap"
-    scene.write_text(CLOSED.format("none"))
-    done = run("fly", scene, "-o", log, "--quiet")
-    assert done.returncode == 1
-    assert done.stderr.count("\n") == 1
-    assert "crash" in done.stderr
-    assert "closed.toml" in done.stderr
-    with FlightReader(log) as reader:
-        events = reader.events()
-    assert events[-1].level == "error"
-    assert "crash" in events[-1].text
-    assert compare(log)["to_s"] > 60

@@ -190,7 +190,7 @@ t = np.arange(300) / 100
 noise = np.random.default_rng(1).normal(size=(3, 300, 3))
 field = {"mag_b": np.array([2e-5, 0.0, 4e-5]) + 1e-7 * noise[2], "mag_new": np.ones(300, bool)}
 still = Samples.make(t, 1e-3 * noise[0], np.array([0.0, 0.0, -9.8]) + 1e-2 * noise[1], **field)
-print(estimators.create("marg-ekf", align_s=1.0).process(still).status[-1])
+print(estimators.create("tilt-ekf", align_s=1.0).process(still).status[-1])
 """
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     made = [
