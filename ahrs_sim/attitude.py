@@ -39,7 +39,7 @@ def difference(p: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def rotation_vector(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Rotation vectors r (n, 3), body axes, that turn p into q, the short way round: `q = p (x) exp(r)`."""
+    """Compute rotation vectors r (n, 3), body axes, that turn p into q the short way: `q = p (x) exp(r)`."""
     scalar, vector = difference(p, q)
     vector = np.where(scalar < 0, -vector, vector)
     sine = np.linalg.norm(vector, axis=1, keepdims=True)
@@ -49,7 +49,7 @@ def rotation_vector(p: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def exponential(r: np.ndarray) -> np.ndarray:
-    """Quaternions (n, 4) of rotation vectors (n, 3)."""
+    """Make quaternions (n, 4) of rotation vectors (n, 3)."""
     norm = np.linalg.norm(r, axis=1, keepdims=True)
     return np.concatenate([np.cos(norm / 2), 0.5 * np.sinc(norm / (2 * math.pi)) * r], axis=1)
 
@@ -82,12 +82,12 @@ def euler(q_nb: np.ndarray) -> np.ndarray:
 
 
 def from_euler(angles: np.ndarray) -> np.ndarray:
-    """Quaternions (n, 4) of roll, pitch, heading (n, 3)."""
+    """Make quaternions (n, 4) of roll, pitch, heading (n, 3)."""
     return from_half_angles(*(0.5 * angle for angle in angles.T))
 
 
 def from_half_angles(roll: np.ndarray, pitch: np.ndarray, heading: np.ndarray) -> np.ndarray:
-    """Quaternions (n, 4) of halves of roll, pitch and heading, (n,) each."""
+    """Make quaternions (n, 4) of halves of roll, pitch and heading, (n,) each."""
     (c0, c1, c2), (s0, s1, s2) = ([f(half) for half in (roll, pitch, heading)] for f in (np.cos, np.sin))
     return np.stack(
         [
@@ -101,7 +101,7 @@ def from_half_angles(roll: np.ndarray, pitch: np.ndarray, heading: np.ndarray) -
 
 
 def matrix(roll: float, pitch: float, heading: float) -> np.ndarray:
-    """Rotation (3, 3) that takes vectors from axes turned by heading, pitch, roll (in this order) to those before."""
+    """Make the rotation (3, 3) from axes turned by heading, pitch, roll (in this order) to those before."""
     cr, sr, cp, sp, cy, sy = (f(x) for x in (roll, pitch, heading) for f in (math.cos, math.sin))
     return np.array(
         [

@@ -44,14 +44,14 @@ class LogError(AhrsSimError):
 
 
 def printable(text: str) -> str:
-    """Text fit for a line on a terminal: what is not printable becomes `?`, and the middle of a very long one goes."""
+    """Make a text fit for a terminal's line: replace the unprintable by `?`, cut the middle of a very long one."""
     if not text.isprintable():
         text = "".join(c if c.isprintable() else "?" for c in text)
     return text if len(text) <= 3000 else f"{text[:1500]} ... {text[-1000:]}"
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """`"; did you mean 'x'?"` for a misspelt word, else the choices: the tail of an error message."""
+    """Make the tail of an error message: `"; did you mean 'x'?"` for a misspelt word, else the choices."""
     choices = sorted(known)
     close = difflib.get_close_matches(word, choices, n=1, cutoff=0.6)
     if close:

@@ -92,7 +92,7 @@ class Peer:
     SETTINGS: ClassVar[Mapping[str, Setting]] = AIDING
 
     def __init__(self, *, site: Site | None = None, sensors: SensorInfo | None = None, **settings: Any) -> None:
-        """A peer for a place and a grade of sensors.
+        """Make a peer for a place and a grade of sensors.
 
         Raises:
             SettingError: an unknown setting or an impossible value, or the package is not installed.
@@ -112,7 +112,7 @@ class Peer:
         self.reset()
 
     def number(self, name: str) -> float:
-        """The value of a numeric setting."""
+        """Read a numeric setting."""
         return float(self.settings[name])
 
     def reset(self) -> None:
@@ -142,7 +142,7 @@ class Peer:
         raise NotImplementedError
 
     def process(self, samples: Samples) -> Estimates:
-        """One row of estimates for each row of samples; any block length gives the same.
+        """Estimate: one row for each row of samples; any block length gives the same.
 
         Raises:
             SampleError: a column of a wrong shape, or a time stamp that is not finite or more than a second back.
@@ -183,7 +183,7 @@ class Peer:
         mag_b: np.ndarray,
         magnetic: np.ndarray,
     ) -> dict[str, np.ndarray]:
-        """All usable rows, in stretches with and without a magnetometer."""
+        """Run all usable rows, in stretches with and without a magnetometer."""
         cuts = np.flatnonzero(np.diff(magnetic[rows])) + 1
         parts = []
         for part in np.split(np.arange(len(rows)), cuts):
@@ -334,11 +334,11 @@ class _OfAhrs(Peer):
             self._q = attitude.product(np.array([math.cos(half), 0.0, 0.0, math.sin(half)]), self._q)
 
     def make(self) -> Any:
-        """The filter object."""
+        """Make the filter object."""
         raise NotImplementedError
 
     def step(self, gyro_b: np.ndarray, accel_b: np.ndarray, mag_b: np.ndarray | None, dt: float) -> np.ndarray:
-        """The next quaternion (4,)."""
+        """Compute the next quaternion (4,)."""
         if mag_b is None:
             return np.asarray(self._filter.updateIMU(self._q, gyro_b, accel_b, dt=dt))
         return np.asarray(self._filter.updateMARG(self._q, gyro_b, accel_b, mag_b, dt=dt))
@@ -372,7 +372,7 @@ class Madgwick(_OfAhrs):
     }
 
     def make(self) -> Any:
-        """The filter object."""
+        """Make the filter object."""
         return self._package.filters.Madgwick(gain=self.number("gain"))
 
 
@@ -388,11 +388,11 @@ class Mahony(_OfAhrs):
     }
 
     def make(self) -> Any:
-        """The filter object."""
+        """Make the filter object."""
         return self._package.filters.Mahony(k_P=self.number("k_p"), k_I=self.number("k_i"))
 
     def more(self) -> dict[str, np.ndarray]:
-        """The gyro bias."""
+        """Read the gyro bias."""
         return {"gyro_bias": np.array(self._filter.b, float)}
 
 
@@ -409,12 +409,12 @@ class AhrsEkf(_OfAhrs):
     }
 
     def make(self) -> Any:
-        """The filter object."""
+        """Make the filter object."""
         noises = [self.number(name) ** 2 for name in ("gyro_sigma", "accel_sigma", "mag_sigma")]
         return self._package.filters.EKF(frame="NED", magnetic_ref=list(self.site.mag_n), noises=noises)
 
     def step(self, gyro_b: np.ndarray, accel_b: np.ndarray, mag_b: np.ndarray | None, dt: float) -> np.ndarray:
-        """The next quaternion (4,)."""
+        """Compute the next quaternion (4,)."""
         self._filter.mag = mag_b  # its measurement model looks here, not at the argument
         return np.asarray(self._filter.update(self._q, gyro_b, accel_b, mag_b, dt=dt))
 

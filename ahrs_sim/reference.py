@@ -50,7 +50,7 @@ def _merge(found: dict[str, Keys], made: Declarations) -> None:
 
 
 def manoeuvres() -> dict[str, tuple[str, Keys]]:
-    """By name: what a manoeuvre does (its docstring), and its keys."""
+    """Collect by name what a manoeuvre does (its docstring), and its keys."""
     from ahrs_sim.flight.manoeuvres import MANOEUVRES
 
     found = {}
@@ -61,7 +61,7 @@ def manoeuvres() -> dict[str, tuple[str, Keys]]:
 
 
 def motions() -> dict[str, tuple[str, Keys]]:
-    """By kind: what a motion is, and its keys."""
+    """Collect by kind what a motion is, and its keys."""
     from ahrs_sim.flight import motion
     from ahrs_sim.scenario import scenario
 
@@ -76,7 +76,7 @@ def motions() -> dict[str, tuple[str, Keys]]:
 
 
 def scenario_tables() -> dict[str, Keys]:
-    """By table ("" is the file itself): the keys of a scenario, but for steps, motions, faults and grades' figures."""
+    """Collect by table ("" is the file itself) the keys of a scenario, without steps, motions, faults and figures."""
     from ahrs_sim.scenario import parse
     from ahrs_sim.sensors import make_suite
 
@@ -102,7 +102,7 @@ def scenario_tables() -> dict[str, Keys]:
 
 
 def faults() -> dict[str, Keys]:
-    """By kind of fault: its keys."""
+    """Collect the keys of each kind of fault."""
     from ahrs_sim.scenario import Component
     from ahrs_sim.sensors import faults as module
     from ahrs_sim.sensors.suite import INSTRUMENTS
@@ -122,7 +122,7 @@ def faults() -> dict[str, Keys]:
 
 
 def figures() -> dict[str, list[tuple[str, list[str], float | tuple[float, ...], int]]]:
-    """By section of a grade: name of each figure, the keys (with units) that state it, default in SI, components."""
+    """Collect by section of a grade: name of each figure, its keys (with units), default in SI, components."""
     from ahrs_sim.sensors.grade import _keys
     from ahrs_sim.sensors.suite import SECTIONS
 
@@ -138,7 +138,7 @@ def figures() -> dict[str, list[tuple[str, list[str], float | tuple[float, ...],
 
 
 def map_tables() -> dict[str, Keys]:
-    """By table: the keys of a map."""
+    """Collect by table the keys of a map."""
     from ahrs_sim.recordings import mapping
 
     found = collected(lambda: mapping.load(None))
@@ -146,7 +146,7 @@ def map_tables() -> dict[str, Keys]:
 
 
 def suite_tables() -> dict[str, Keys]:
-    """By table: the keys of a suite for `ahrs-sim check`."""
+    """Collect by table the keys of a suite for `ahrs-sim check`."""
     from ahrs_sim.runs import check_suite
 
     text = 'baseline = "x.json"\n[[flight]]\nscenario = "standing"\n'
@@ -163,7 +163,7 @@ def suite_tables() -> dict[str, Keys]:
 
 
 def unit(key: str) -> str:
-    """The unit that a key's name ends in, "" when it has none."""
+    """Find the unit that a key's name ends in, "" when it has none."""
     for suffix in sorted(_UNITS, key=len, reverse=True):
         if key.endswith(suffix):
             return _UNITS[suffix]
@@ -171,7 +171,7 @@ def unit(key: str) -> str:
 
 
 def limits(key: Key) -> str:
-    """The values that a key takes, in words."""
+    """Describe the values that a key takes."""
     if key.choices:
         return ", ".join(f"`{c}`" for c in key.choices)
     if key.form == "vector":
@@ -185,7 +185,7 @@ def limits(key: Key) -> str:
 
 
 def default(key: Key) -> str:
-    """The default of a key, in words."""
+    """Describe the default of a key."""
     if key.required:
         return "required"
     value = key.default
@@ -208,7 +208,7 @@ _INTRODUCTION = (
 
 
 def markdown() -> str:
-    """The scenario reference as Markdown (docs/scenario.md)."""
+    """Write the scenario reference as Markdown (docs/scenario.md)."""
     return "\n".join(_lines()) + "\n"
 
 
@@ -355,7 +355,7 @@ def _scenario_schema() -> dict[str, Any]:
 
 
 def _motion_extra(keys: Keys) -> list[tuple[str, Any]]:
-    """Keys that belong to all motions."""
+    """Collect the keys that belong to all motions."""
     return [("leg", {"type": "array", "items": {"type": "object"}})] if "leg" in keys else []
 
 

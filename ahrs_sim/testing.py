@@ -16,7 +16,7 @@ import pytest
 
 
 def accuracy(log: str | Path) -> dict[str, dict[str, float]]:
-    """Figures of every estimator in a log, by the names that `assert_accuracy` takes.
+    """Compute figures of every estimator in a log, by the names that `assert_accuracy` takes.
 
     Raises:
         InputError: there is no such log, or nothing in it to compare.
@@ -65,7 +65,7 @@ FlyScenario = Callable[..., Path]
 
 @pytest.fixture(scope="session")
 def fly_scenario(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FlyScenario]:
-    """A function that flies a scenario into a log; the same flight is flown once a session.
+    """Provide a function that flies a scenario into a log; the same flight is flown once a session.
 
     Its arguments: `scenario`, a name or a path; `duration` in s; `seed`; `estimators`, names as for `ahrs-sim fly
     --estimator`, or the tables of a scenario's `[estimator.NAME]` by name.

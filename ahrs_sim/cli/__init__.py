@@ -103,7 +103,7 @@ def _failed(line: str, code: int) -> int:
 
 
 def _one_line(error: Exception) -> str:
-    """The text of an exception, fit for a line."""
+    """Make the text of an exception fit for a line."""
     line = " ".join(str(error).split())
     return line if len(line) <= 200 else line[:197] + "..."
 

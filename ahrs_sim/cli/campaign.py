@@ -111,7 +111,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _worst(text: str | None, runs: int) -> int:
-    """How many logs `--keep-logs` asks for."""
+    """Read how many logs `--keep-logs` asks for."""
     if text is None:
         return 0
     if text == "all":

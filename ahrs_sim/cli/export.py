@@ -31,5 +31,5 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _beside(log: Path) -> Path:
-    """A folder named like the log; for a folder, one beside it."""
+    """Choose a folder named like the log; for a folder, one beside it."""
     return log.with_name(f"{log.name}_tables") if log.is_dir() else log.with_suffix("")

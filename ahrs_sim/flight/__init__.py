@@ -26,23 +26,23 @@ class Flight(Protocol):
     """s, about; None when nobody knows."""
 
     def fly(self, n: int) -> Truth:
-        """The next up to `n` rows, from t = 0 on; fewer when the flight ends, none when it is over."""
+        """Fly the next up to `n` rows, from t = 0 on; fewer when the flight ends, none when it is over."""
         ...
 
     def take_setpoints(self) -> Setpoints:
-        """What the pilot asked for since the last call."""
+        """Collect the pilot's set-points since the last call."""
         ...
 
     def take_events(self) -> list[Event]:
-        """What happened since the last call, in order."""
+        """Collect events since the last call, in order."""
         ...
 
     def feedback(self, q_nb: np.ndarray, rate_b: np.ndarray) -> None:
-        """Attitude (4,) and body rate (3,) rad/s for the autopilot to fly on, instead of the truth."""
+        """Set attitude (4,) and body rate (3,) rad/s that the autopilot flies on instead of the truth."""
         ...
 
     def attachments(self) -> dict[str, bytes]:
-        """The files of the aircraft that flies, by relative path."""
+        """Collect the files of the aircraft that flies, by relative path."""
         ...
 
 

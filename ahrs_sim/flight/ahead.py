@@ -95,7 +95,7 @@ class FlightAhead:
         return received
 
     def fly(self, n: int) -> Truth:
-        """The next block, whatever `n`; none when the flight is over."""
+        """Receive the next block, whatever `n`; empty when the flight is over."""
         if not self.done:
             first, second, events = self._receive()
             self._events += events
@@ -107,21 +107,21 @@ class FlightAhead:
         return Truth(**blank(Truth, 0))
 
     def take_setpoints(self) -> Setpoints:
-        """What the pilot asked for since the last call."""
+        """Collect the pilot's set-points since the last call."""
         taken, self._setpoints = Setpoints.concatenate(self._setpoints), []
         return taken
 
     def take_events(self) -> list[Event]:
-        """What happened since the last call, in order."""
+        """Collect events since the last call, in order."""
         taken, self._events = self._events, []
         return taken
 
     def feedback(self, q_nb: np.ndarray, rate_b: np.ndarray) -> None:
-        """Not possible: it has flown on already."""
+        """Refuse: the flight is ahead already."""
         raise FlightError("a flight ahead of its estimators cannot be flown on them")
 
     def attachments(self) -> dict[str, bytes]:
-        """The files of the aircraft that flies, by relative path."""
+        """Collect the files of the aircraft that flies, by relative path."""
         return dict(self._attachments)
 
     def close(self) -> None:

@@ -82,7 +82,7 @@ def _analyse(name: str, digest: str, tunnel: Tunnel, light: Tunnel) -> Design:
 
 
 def _thrust(tunnel: Tunnel) -> float:
-    """How much the throttle accelerates the aircraft, m/s2."""
+    """Compute the acceleration by the throttle, m/s2."""
     if not tunnel.engines:
         return 0.0
     speed = math.sqrt(2.0 * tunnel.mass * G / (tunnel.density * tunnel.area * 0.6))
@@ -91,7 +91,7 @@ def _thrust(tunnel: Tunnel) -> float:
 
 
 def _slowest(tunnel: Tunnel, powered: bool) -> tuple[Trim, Trim]:
-    """The slowest trim there is, and one to begin with."""
+    """Find the slowest trim, and one to begin with."""
     first = None
     for lift in (0.6, 0.4, 0.8, 0.3, 0.2, 1.0, 0.1):
         speed = math.sqrt(2.0 * tunnel.mass * G / (tunnel.density * tunnel.area * lift))
@@ -123,7 +123,7 @@ def _lift_slope(tunnel: Tunnel, trim: Trim) -> float:
 
 
 def _fastest(tunnel: Tunnel, first: Trim, slowest: Trim, powered: bool) -> float:
-    """The fastest level flight (m/s, true), within the schedule's limits."""
+    """Find the fastest level flight (m/s, true), within the schedule's limits."""
     sound = tunnel.fdm["atmosphere/a-fps"] * FT
     limit = min(FASTEST * slowest.point.speed, MACH * sound)
     good, factor = first, 1.12
@@ -137,7 +137,7 @@ def _fastest(tunnel: Tunnel, first: Trim, slowest: Trim, powered: bool) -> float
 
 
 def _trimmed(tunnel: Tunnel, speed: float, guess: Point, powered: bool, thorough: bool = False) -> list[Trim]:
-    """The trim at a speed, if there is one."""
+    """Find the trim at a speed, if there is one."""
     trim = tunnel.trim(speed, guess=guess, throttle=None if powered else 0.0, thorough=thorough)
     controls = [abs(getattr(trim.point, x)) for x in CONTROLS[:3]]
     steep = not powered and trim.slope < SINKING
@@ -187,7 +187,7 @@ def _margins(pitch: gains.Loop, roll: gains.Loop) -> dict[str, list[float]]:
 
 
 def _steepest(tunnel: Tunnel, trim: Trim, powered: bool) -> float:
-    """The steepest of `BANKS` at which it turns level without losing speed."""
+    """Find the steepest of `BANKS` at which it turns level without losing speed."""
     if not powered:
         return BANKS[-1]  # it sinks in any turn
     steepest, guess = 0.0, trim.point
@@ -200,7 +200,7 @@ def _steepest(tunnel: Tunnel, trim: Trim, powered: bool) -> float:
 
 
 def _modes(ahead: np.ndarray, aside: np.ndarray, slow: np.ndarray, at: Point) -> dict[str, list[float]]:
-    """Modes of the aircraft without autopilot: real and imaginary part, 1/s."""
+    """Compute modes of the aircraft without autopilot: real and imaginary part, 1/s."""
     v, cos, sin = at.speed, math.cos(at.alpha), math.sin(at.alpha)
     along = np.zeros((4, 4))  # speed, alpha, q, theta
     columns = np.column_stack([slow[:, 0], aside[:, 0], aside[:, 1]])
@@ -225,7 +225,7 @@ def _modes(ahead: np.ndarray, aside: np.ndarray, slow: np.ndarray, at: Point) ->
 
 
 def _gear(tunnel: Tunnel, powered: bool) -> tuple[list[list[float]], dict[str, str]]:
-    """Wheels about the centre of gravity, and what they do not allow."""
+    """Locate the wheels about the centre of gravity, and find what they do not allow."""
     fdm = tunnel.fdm
     cg = [fdm[f"inertia/cg-{x}-in"] for x in "xyz"]
     wheels = []
@@ -244,7 +244,7 @@ def _gear(tunnel: Tunnel, powered: bool) -> tuple[list[list[float]], dict[str, s
 
 
 def _steering(fdm: Fdm) -> float:
-    """The angle that the steered wheel reaches, rad; what turns all round is not steered."""
+    """Find the angle that the steered wheel reaches, rad; a castering wheel is not steered."""
     text = fdm.sources[0].read_text(encoding="utf-8", errors="replace")
     found = [float(x) for x in re.findall(r"<max_steer[^>]*>\s*([-\d.]+)\s*<", text)]
     return math.radians(min((x for x in map(abs, found) if 0.0 < x < 360.0), default=30.0))

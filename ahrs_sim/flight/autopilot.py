@@ -10,7 +10,7 @@ from ahrs_sim.flight.fdm import Fdm
 
 
 def wrap(angle: float) -> float:
-    """The same angle in [-pi, pi)."""
+    """Wrap an angle into [-pi, pi)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
@@ -157,7 +157,7 @@ class Autopilot:
         self.airspeed(self.airspeed_goal)
 
     def cruise(self) -> None:
-        """Everything as cleared: heading too."""
+        """Hold height, speed and heading as cleared."""
         self.level()
         self.heading(self.heading_goal)
 

@@ -100,7 +100,7 @@ class Design:
         return min(stalled, self.at(airspeed, lambda row: row.bank)) if steady and self.powered else stalled
 
     def text(self) -> str:
-        """The design as JSON."""
+        """Format the design as JSON."""
         return json.dumps(asdict(self), indent=1)
 
 

@@ -140,11 +140,11 @@ class Fdm:
                 self.exec.resume_integration()  # which `run_ic` had suspended
 
     def has(self, name: str) -> bool:
-        """Whether the property exists."""
+        """Test whether the property exists."""
         return self._properties.get_node(name) is not None
 
     def getter(self, name: str, where: str = "JSBSim") -> Callable[[], float]:
-        """A bound reader of a property: the fast way to read.
+        """Make a bound reader of a property: the fast way to read.
 
         Raises:
             InputError: no such property.
@@ -155,7 +155,7 @@ class Fdm:
         return node.get_double_value
 
     def setter(self, name: str, where: str = "JSBSim") -> Callable[[float], object]:
-        """A bound writer of a property.
+        """Make a bound writer of a property.
 
         Raises:
             InputError: no such property, or it cannot be written.
@@ -174,7 +174,7 @@ class Fdm:
         self.setter(name)(value)
 
     def attachments(self) -> dict[str, bytes]:
-        """The XML files the flight was made from, by path: `aircraft/...`, `engine/...`, `scripts/...`."""
+        """Collect the XML files of the flight by path: `aircraft/...`, `engine/...`, `scripts/...`."""
         files = {}
         roots = {**self._roots, library_dir(): "", aircraft_dir().parent: ""}
         for path in self.sources:
@@ -252,12 +252,12 @@ def stop_engines(fdm: Fdm) -> None:
 
 
 def indexed(name: str, i: int) -> str:
-    """JSBSim's name of the i-th of several properties."""
+    """Make JSBSim's name of the i-th of several properties."""
     return f"{name}[{i}]" if i else name
 
 
 def engines(fdm: Fdm) -> int:
-    """How many engines there are."""
+    """Count the engines."""
     number = 0
     while fdm.has(indexed("propulsion/engine", number) + "/set-running"):
         number += 1
@@ -271,12 +271,12 @@ def write(fdm: Fdm, name: str, value: float) -> None:
 
 
 def library_dir() -> Path:
-    """The folder of the aircraft, engines, systems and scripts that come with JSBSim."""
+    """Find the folder of the aircraft, engines, systems and scripts that come with JSBSim."""
     return Path(jsbsim.get_default_root_dir())
 
 
 def aircraft() -> dict[str, Path]:
-    """Every aircraft that can fly, ours first, and its folder."""
+    """List every aircraft that can fly, ours first, and its folder."""
     found: dict[str, Path] = {}
     for root in (aircraft_dir(), library_dir() / "aircraft"):
         for folder in sorted(root.iterdir()) if root.is_dir() else ():
@@ -336,5 +336,5 @@ def trims(script: Path) -> bool:
 
 
 def scripts() -> dict[str, Path]:
-    """JSBSim's scripts by name."""
+    """List JSBSim's scripts by name."""
     return {path.stem: path for path in sorted((library_dir() / "scripts").glob("*.xml"))}

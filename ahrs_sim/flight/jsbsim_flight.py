@@ -129,7 +129,7 @@ class JsbsimFlight:
     # -- what the pipeline calls
 
     def fly(self, n: int) -> Truth:
-        """The next up to `n` rows; fewer when the flight ends, none when it is over."""
+        """Fly the next up to `n` rows; fewer when the flight ends, none when it is over."""
         raw = np.empty((n, len(Column)))
         k = 0
         get, every = self._get, self._every
@@ -163,28 +163,28 @@ class JsbsimFlight:
         return self._truth(raw[:k])
 
     def take_setpoints(self) -> Setpoints:
-        """What the pilot asked for since the last call."""
+        """Collect the pilot's set-points since the last call."""
         return self._pilot.take_setpoints()
 
     def take_events(self) -> list[Event]:
-        """What happened since the last call."""
+        """Collect events since the last call."""
         events = sorted(self._events + self._pilot.take_events(), key=lambda event: event.t)
         self._events = []
         return events
 
     def feedback(self, q_nb: np.ndarray, rate_b: np.ndarray) -> None:
-        """Attitude (4,) and body rate (3,) rad/s for the autopilot instead of the truth; NaN is ignored."""
+        """Set attitude (4,) and body rate (3,) rad/s that the autopilot flies on; NaN is ignored."""
         self._pilot.feedback(q_nb, rate_b)
 
     def attachments(self) -> dict[str, bytes]:
-        """The XML files of aircraft and script, and what was found of an aircraft that has no autopilot of its own."""
+        """Collect the XML files of aircraft and script, and the design of an aircraft without its own autopilot."""
         found = {"design.json": self._design.text().encode()} if self._design else {}
         return {**self._fdm.attachments(), **found}
 
     # -- set-up
 
     def _known(self, scenario: Scenario, steps: Sequence[Manoeuvre]) -> Design | None:
-        """What is known of an aircraft that has no autopilot of its own, where one is needed."""
+        """Find the design of an aircraft that has no autopilot of its own, where one is needed."""
         needed = scenario.pilot_attitude != "truth" or any(step.needs_autopilot for step in steps)
         if self._scripted or not needed or own_autopilot(self._fdm):
             return None
@@ -257,7 +257,7 @@ class JsbsimFlight:
             fdm["atmosphere/turb-type"] = 0  # a script's own; ours comes from `RoughAir`
 
     def _settles(self, scenario: Scenario) -> bool:
-        """In the air and wings level under our autopilot: fly a few seconds before the flight begins."""
+        """Decide whether to fly a few seconds before the flight begins: in the air, level, under our autopilot."""
         start = scenario.start
         flown = self._fdm.has("ap/motor-on") or self._design is not None
         return not start.on_ground and flown and start.roll == start.pitch == 0.0
@@ -312,13 +312,13 @@ class JsbsimFlight:
         return True
 
     def _look_ahead(self, row: list[float]) -> None:
-        """The air until the pilot acts again."""
+        """Compute the air until the pilot acts again."""
         if self._air is not None:
             velocity = [FT * x for x in row[VELOCITY]]
             self._air.ahead(FT * row[Column.HEIGHT_AGL], velocity, row[EULER_ANGLES])
 
     def _choose_integrators(self, near_ground: bool) -> None:
-        """How rates and velocities are integrated: Adams-Bashforth 2 in the air, Euler near the ground.
+        """Choose how rates and velocities are integrated: Adams-Bashforth 2 in the air, Euler near the ground.
 
         JSBSim's friction is the force that stops the wheel within one Euler step. Under Adams-Bashforth 2 that has an
         eigenvalue of -1: a parked aircraft shakes from side to side at half the step's rate for ever, with whatever
@@ -417,7 +417,7 @@ def _own_aircraft(scenario: Scenario) -> str:
 
 
 def _last_trim(scenario: Scenario, dt: float, end: float | None) -> float:
-    """The time (s) up to which a script puts the aircraft elsewhere by trimming it, flown beforehand to see."""
+    """Find the time (s) up to which a script moves the aircraft by trimming it; fly it once to see."""
     fdm = Fdm(dt)
     fdm.load_script(scenario.script or "", scenario.where, _own_aircraft(scenario))
     fdm.begin()
@@ -433,7 +433,7 @@ def _last_trim(scenario: Scenario, dt: float, end: float | None) -> float:
 
 
 def _jumps(column: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (k,) after which position goes on by more than the velocity says, and by how many m (k,)."""
+    """Find rows (k,) after which the position moves by more than the velocity explains, and by how many m (k,)."""
     place, vel_n = column[PLACE], column[VELOCITY]
     step = np.diff(place, axis=1) * [[wgs84.A], [wgs84.A], [1.0]]
     step[1] *= np.cos(place[0, :-1])
@@ -450,13 +450,13 @@ def _reader(fdm: Fdm, column: Column) -> Callable[[], float]:
 
 
 def _units(fdm: Fdm, prefix: str) -> list[str]:
-    """The wheels (`gear/unit`) or other points (`contact/unit`) that can touch the ground."""
+    """List the wheels (`gear/unit`) or other points (`contact/unit`) that can touch the ground."""
     names = [f"{prefix}[{i}]" if i else prefix for i in range(64)]
     return [name for name in names if fdm.has(f"{name}/WOW")]
 
 
 def _contacts(fdm: Fdm) -> list[Callable[[], float]]:
-    """Readers that are above 0 when something other than a wheel is on the ground (ours latches it)."""
+    """Make readers that are above 0 when something other than a wheel is on the ground (ours latches it)."""
     names = [f"{unit}/WOW" for unit in _units(fdm, "contact/unit")]
     return [fdm.getter(name) for name in (*names, *(["ap/crashed"] if fdm.has("ap/crashed") else []))]
 

@@ -69,7 +69,7 @@ class _Air(NamedTuple):
 
 
 class Body(NamedTuple):
-    """Attitude and rates that it flies on."""
+    """Set attitude and rates that it flies on."""
 
     roll: float
     pitch: float
@@ -169,7 +169,7 @@ class DesignedAutopilot(Autopilot):
     # -- the loops
 
     def inputs(self) -> Body:
-        """Attitude and rates that it flies on."""
+        """Set attitude and rates that it flies on."""
         return self.estimate or Body(*(get() for get in self._truth))
 
     def run(self, dt: float) -> None:
@@ -363,7 +363,7 @@ class DesignedAutopilot(Autopilot):
         return elevator
 
     def _flare_height(self, air: _Air) -> float:
-        """Height (m, of the wheels) at which the sink rate is that of the flare's law."""
+        """Compute the height (m, of the wheels) at which the sink rate is that of the flare's law."""
         if self.values["flare-height-m"] > 0.0:
             return self.values["flare-height-m"]
         return max(1.0, (-air.climb - TOUCHDOWN) / FLARE_RATE - max(0.7, air.true / 90.0) * air.climb)

@@ -64,16 +64,16 @@ class Jet:
         return self + -jet(other)
 
     def of(self, f: np.ndarray, f1: np.ndarray, f2: np.ndarray) -> "Jet":
-        """A function of this jet, by its value and two derivatives at `x` (chain rule)."""
+        """Apply a function to this jet, by its value and two derivatives at `x` (chain rule)."""
         return Jet(f, f1 * self.d, f2 * self.d**2 + f1 * self.dd)
 
     def rate(self) -> "Jet":
-        """The derivative, whose own second derivative is not known (0)."""
+        """Take the derivative, whose own second derivative is unknown (0)."""
         return Jet(self.d, self.dd, np.zeros_like(self.d))
 
 
 def jet(value: "Jet | float") -> Jet:
-    """A constant as a jet."""
+    """Make a jet of a constant."""
     if isinstance(value, Jet):
         return value
     zero = np.zeros(())
@@ -93,7 +93,7 @@ def cos(a: Jet) -> Jet:
 
 
 def smooth_step(a: Jet, width: float) -> Jet:
-    """From 0 to 1 while `a` goes from 0 to `width`, with four continuous derivatives (polynomial of degree 9)."""
+    """Go from 0 to 1 while `a` goes from 0 to `width`, with four continuous derivatives (polynomial of degree 9)."""
     u = np.clip(a.x / width, 0.0, 1.0)
     f = u**5 * (126.0 - 420.0 * u + 540.0 * u**2 - 315.0 * u**3 + 70.0 * u**4)
     f1 = 630.0 * u**4 * (1.0 - u) ** 4 / width
@@ -253,7 +253,7 @@ class Road(Motion):
         return smooth_ramp(t, drive_off) * self.speed + swung * smooth_step(t, drive_off)
 
     def heading_along(self, s: Jet) -> Jet:
-        """Heading at a distance, rad."""
+        """Compute the heading at a distance, rad."""
         if not self.track:
             heading = jet(self.heading)
             for (curvature, length), phase in zip(self.bends, self.bend_phase, strict=True):
@@ -331,7 +331,7 @@ class Weave(Motion):
         return smooth_step(t - self.still, self.faster) * self.speed
 
     def course(self, t: Jet) -> Jet:
-        """Heading, rad."""
+        """Compute the heading, rad."""
         t = t - (self.still + self.faster)
         count = np.minimum(np.floor(t.x / self.cycle), self.swings - 1.0)
         t = t - Jet(count * self.cycle, np.zeros_like(t.x), np.zeros_like(t.x))
@@ -398,7 +398,7 @@ class MotionFlight:
         self._events = [Event(0.0, "info", "flight", f"motion '{kind}' begins")]
 
     def fly(self, n: int) -> Truth:
-        """The next up to `n` rows; fewer at the end, none when it is over."""
+        """Fly the next up to `n` rows; fewer at the end, none when it is over."""
         n = max(0, min(n, self._rows - self._next))
         t = np.arange(self._next, self._next + n) * self.dt
         self._next += n
@@ -458,7 +458,7 @@ class MotionFlight:
         return Setpoints(**blank(Setpoints, 0))
 
     def take_events(self) -> list[Event]:
-        """The beginning."""
+        """Collect the event of the beginning."""
         events, self._events = self._events, []
         return events
 
@@ -470,7 +470,7 @@ class MotionFlight:
         return {}
 
     def _integrate(self, vel_n: np.ndarray) -> np.ndarray:
-        """Position (n, 3) from velocity (n, 3), trapezium rule, row after row."""
+        """Integrate velocity (n, 3) to position (n, 3), trapezium rule, row after row."""
         lat, lon, height = self._lla
         last = self._vel
         half = 0.5 * self.dt

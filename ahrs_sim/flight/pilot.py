@@ -24,7 +24,7 @@ from estimators import rotations
 
 
 def own_autopilot(fdm: Fdm) -> bool:
-    """Whether the aircraft's XML holds an autopilot with our set-points."""
+    """Test whether the aircraft's XML holds an autopilot with our set-points."""
     return fdm.has("ap/lateral-mode") and fdm.has("ap/in/phi-rad")
 
 
@@ -107,7 +107,7 @@ class Pilot:
             self.autopilot.cruise()
 
     def feedback(self, q_nb: np.ndarray, rate_b: np.ndarray) -> None:
-        """Attitude (4,) and rates (3,) rad/s of an estimator for the autopilot.
+        """Set attitude (4,) and rates (3,) rad/s of an estimator for the autopilot.
 
         Ignored: what is not finite, and what comes before the step `hand_over`, where there is one.
         """
@@ -133,11 +133,11 @@ class Pilot:
         return going
 
     def during(self) -> str:
-        """` in step 3 (turn)`, for messages."""
+        """Name the step for messages: ` in step 3 (turn)`."""
         return f" in {self._label()}" if 0 <= self._number < len(self._steps) else ""
 
     def take_setpoints(self) -> Setpoints:
-        """Set-points since the last call."""
+        """Collect set-points since the last call."""
         raw = np.array(self._setpoints).reshape(-1, 12)
         self._setpoints = []
         columns = np.ascontiguousarray(raw[:, [0, 2, 3, 4, 5, 6, 7]].T)
@@ -154,7 +154,7 @@ class Pilot:
         )
 
     def take_events(self) -> list[Event]:
-        """Events since the last call."""
+        """Collect events since the last call."""
         events, self._events = self._events, []
         return events
 
@@ -190,7 +190,7 @@ class Pilot:
         step.begin(self.autopilot, self.state)  # type: ignore[arg-type]
 
     def _body(self) -> Sequence[float]:
-        """Attitude and rates that the aircraft is flown on."""
+        """Choose attitude and rates that the aircraft is flown on."""
         return self.designed.inputs() if self.designed else [get() for get in self._get]
 
     def _label(self) -> str:

@@ -121,14 +121,14 @@ class Tunnel:
             throttle(point.throttle)
 
     def run(self, seconds: float) -> np.ndarray:
-        """Accelerations along the body axes (3,) m/s2, relative to them, and angular (3,) rad/s2, some time later."""
+        """Run on; return accelerations along the body axes (3,) m/s2, relative to them, and angular (3,) rad/s2."""
         for _ in range(round(seconds / DT)):
             self.fdm.exec.run()
         values = [get() for get in self._read]
         return np.array([values[0] * FT, values[1] * FT, values[2] * FT, *values[3:]])
 
     def accelerations(self, point: Point, patience: float = PATIENCE) -> np.ndarray:
-        """What `run` gives once engines and actuators have settled, (6,)."""
+        """Return accelerations (6,) as `run` does, once engines and actuators have settled."""
         self.put(point)
         before = self.run(WINDOW)
         for _ in range(round(patience / WINDOW)):
@@ -216,7 +216,7 @@ class Tunnel:
         return np.array(columns).T
 
     def lag(self, at: Point, control: str, size: float) -> float:
-        """Time constant of a control: of the actuator and whatever filters its command, s."""
+        """Find the time constant of a control, s: of the actuator and whatever filters its command."""
         steady = self.accelerations(at)
         moved = replace(at, **{control: getattr(at, control) + size})
         self.control(moved)

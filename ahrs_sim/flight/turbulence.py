@@ -115,7 +115,7 @@ class RoughAir:
 
     @staticmethod
     def wanted(wind: Wind) -> bool:
-        """Whether this wind changes at all, but for its single gusts."""
+        """Test whether this wind changes apart from its single gusts."""
         return wind.turbulence != "none" or (wind.roughness > 0.0 and wind.speed > 0.0)
 
     def ahead(self, height: float, velocity_n: Sequence[float], euler: Sequence[float]) -> None:
@@ -176,7 +176,7 @@ def _nobody(value: float) -> None:
 
 
 def first_state(noise: np.ndarray) -> np.ndarray:
-    """A state of the filters (8,) drawn from what they keep to, from (6,) of standard normal noise.
+    """Draw a stationary state of the filters (8,) from standard normal noise (6,).
 
     u; two of v; two of w; p; lags of w and v for q and r.
     """

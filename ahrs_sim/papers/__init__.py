@@ -67,7 +67,7 @@ class Reproduction:
     claims: Sequence[Claim]
 
     def as_json(self) -> dict[str, Any]:
-        """Everything, fit for `json.dumps`: a figure that failed (NaN) is the word "failed"."""
+        """Convert everything for `json.dumps`: a figure that failed (NaN) is the word "failed"."""
         content = asdict(self)
         for claim in content["claims"]:
             for key in ("paper", "ours"):
@@ -76,7 +76,7 @@ class Reproduction:
         return content
 
     def text(self) -> str:
-        """A table for people, with the conditions above and the reasons below it."""
+        """Format a table with the conditions above and the reasons below it."""
         reasons: list[str] = []
         rows = [("", "paper", "ours", "unit", "runs", "outcome")]
         for claim in self.claims:
@@ -119,12 +119,12 @@ def holds(claim: bool) -> Outcome:
 
 
 def names() -> list[str]:
-    """The papers that can be run."""
+    """List the papers that can be run."""
     return list(_PAPERS)
 
 
 def title(name: str) -> str:
-    """What the paper is about, one line.
+    """Read what the paper is about, one line.
 
     Raises:
         InputError: no such paper.
@@ -151,7 +151,7 @@ def run(name: str, quick: bool = False) -> Reproduction:
 
 
 def run_all(chosen: Sequence[str], quick: bool = False, workers: int = 2) -> Iterator[Reproduction]:
-    """`run` for several papers, each in a process of its own; in the order asked for, as they are ready."""
+    """Run several papers, each in a process of its own; yield in the order asked for, as they are ready."""
     if len(chosen) < 2 or workers < 2:
         yield from (run(name, quick) for name in chosen)
         return
@@ -161,7 +161,7 @@ def run_all(chosen: Sequence[str], quick: bool = False, workers: int = 2) -> Ite
 
 
 def markdown(results: Sequence[Reproduction]) -> str:
-    """The page `docs/papers.md`."""
+    """Write the page `docs/papers.md`."""
     lines = [
         "# The papers, reproduced",
         "",

@@ -41,7 +41,7 @@ _LARGE = "The heading is wrong by so much and P says so. Beyond the paper: here 
 
 
 def drive(seed: int) -> Measured:
-    """The road with the sky open, but for 30 s in every minute with five satellites, and 10 s with three."""
+    """Drive the road under open sky, but for 30 s in every minute with five satellites, and 10 s with three."""
     data = {
         "motion": {"kind": "road", "road": "country", "still_s": STILL},
         "duration_s": STILL + LENGTH,
@@ -101,13 +101,13 @@ def reproduce(quick: bool = False) -> Reproduction:
 
 
 def _errors(drive: Measured, method: str, **settings: Any) -> np.ndarray:
-    """Errors (n, 3) of roll, pitch, heading in deg that count."""
+    """Compute errors (n, 3) of roll, pitch, heading in deg that count."""
     estimates = drive.estimate(method, **settings)
     return drive.errors(estimates)[estimates.t >= STILL + SETTLED, :3]
 
 
 def _other_units(drives: list[Measured]) -> list[Claim]:
-    """What the reasons name: other noise of the antennas, another IMU, no bends."""
+    """Test what the reasons name: other noise of the antennas, another IMU, no bends."""
     few = drives[: max(1, len(drives) // 2)]
     line = {
         "kind": "line",
@@ -142,7 +142,7 @@ def _other_units(drives: list[Measured]) -> list[Claim]:
 
 
 def _from_afar(drives: list[Measured]) -> list[Claim]:
-    """Time until the heading is within 5 deg for good, from wrong ones, EKF and UKF, aided and unaided."""
+    """Compute time until the heading is within 5 deg for good, from wrong ones, EKF and UKF, aided and unaided."""
     claims = []
     for aided in (True, False):
         for degrees in (20.0, 90.0, 175.0):

@@ -39,23 +39,23 @@ class Measured:
     sensors: SensorInfo
 
     def estimate(self, method: str, **settings: Any) -> Estimates:
-        """The answer of a method of the catalogue."""
+        """Estimate by a method of the catalogue."""
         estimates: Estimates = self.create(method, **settings).process(self.samples)
         return estimates
 
     def create(self, method: str, **settings: Any) -> Any:
-        """An estimator for these samples."""
+        """Make an estimator for these samples."""
         return estimators.create(method, site=self.flown.site, sensors=self.sensors, **settings)
 
     def errors(self, estimates: Estimates) -> np.ndarray:
-        """Errors (n, 5) in deg, in the order of `metrics.MEASURES`, NaN where there is no estimate."""
+        """Compute errors (n, 5) in deg, in the order of `metrics.MEASURES`, NaN where there is no estimate."""
         truth = self.flown.truth
         reference = attitude.interpolate(truth.t, truth.q_nb, estimates.t)
         return np.asarray(np.degrees(metrics.attitude_errors(estimates.q_nb, estimates.down_b, reference)))
 
 
 def fly(data: Mapping[str, Any], name: str) -> Flown:
-    """The truth of a scenario given as TOML data, or of the shipped one that it extends."""
+    """Fly the truth of a scenario given as TOML data, or of the shipped one that it extends."""
     scenario = scenarios.parse(dict(data), f"papers: {name}", name)
     flight = open_flight(scenario)
     blocks = []
@@ -65,7 +65,7 @@ def fly(data: Mapping[str, Any], name: str) -> Flown:
 
 
 def measure(flown: Flown, suite: Mapping[str, Any], seed: int, faults: Sequence[Mapping[str, Any]] = ()) -> Measured:
-    """Samples of one suite (a `[suite.NAME]` table) with the errors of one seed."""
+    """Measure with one suite (a `[suite.NAME]` table) and the errors of one seed."""
     scenario = flown.scenario
     data = {**scenario.data, "suite": {"unit": dict(suite)}, "fault": [dict(f) for f in faults]}
     data["estimator"] = {"none": {"method": "marg-ekf", "suite": "unit"}}
@@ -137,18 +137,18 @@ def _widened(P: np.ndarray, q: np.ndarray, down: np.ndarray, angle: float, eleme
 
 
 def time_until(t: np.ndarray, error: np.ndarray, limit: float) -> float:
-    """Time from t[0] until |error| is below `limit` for good; NaN when never."""
+    """Compute time from t[0] until |error| is below `limit` for good; NaN when never."""
     above = np.flatnonzero(~(np.abs(error) < limit))
     first = above[-1] + 1 if len(above) else 0
     return float(t[first] - t[0]) if first < len(t) else math.nan
 
 
 def time_first(t: np.ndarray, error: np.ndarray, limit: float) -> float:
-    """Time from t[0] until |error| is below `limit` for the first time; NaN when never."""
+    """Compute time from t[0] until |error| is below `limit` for the first time; NaN when never."""
     below = np.flatnonzero(np.abs(error) < limit)
     return float(t[below[0]] - t[0]) if len(below) else math.nan
 
 
 def thinned(measured: Measured, every: int) -> Measured:
-    """Every so many samples of it, as a slower unit would have sent."""
+    """Take every so many samples, as a slower unit would have sent."""
     return replace(measured, samples=measured.samples[::every])

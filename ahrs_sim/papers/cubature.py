@@ -70,12 +70,12 @@ _LUCK = (
 
 
 def flight(duration: float) -> Flown:
-    """The turns, shortened: standing, take-off, climb, bank of 30 deg both ways."""
+    """Fly the turns, shortened: standing, take-off, climb, bank of 30 deg both ways."""
     return fly(scenarios.load("turns", duration=duration).data, "turns")
 
 
 def tracked(unit: Measured, **settings: Any) -> dict[str, np.ndarray]:
-    """Errors (n, 3) of roll, pitch, heading in deg from `SETTLED` on, by filter."""
+    """Compute errors (n, 3) of roll, pitch, heading in deg from `SETTLED` on, by filter."""
     found = {}
     for name in _FILTERS:
         estimates = unit.estimate(f"marg-{name}", **settings)
@@ -84,7 +84,7 @@ def tracked(unit: Measured, **settings: Any) -> dict[str, np.ndarray]:
 
 
 def against(unit: Measured, reference: Measured, **settings: Any) -> dict[str, float]:
-    """RMS difference (deg, of the whole rotation) from the EKF on the better unit, by filter."""
+    """Compute RMS difference (deg, of the whole rotation) from the EKF on the better unit, by filter."""
     best = reference.estimate("marg-ekf", **settings)
     there = np.isfinite(best.q_nb[:, 0])
     found = {}
@@ -155,7 +155,7 @@ def _bias_variance(estimator: Any, variance: float) -> None:
 def from_nothing(
     units: list[Measured], skip: int = 0, bias_variance: float | None = None, noise: str = "from-ground"
 ) -> dict[str, int]:
-    """How many of the runs that start as the paper does (P0 = 1e4 I) end within 5 deg, standing.
+    """Count the runs that start as the paper does (P0 = 1e4 I) and end within 5 deg, standing.
 
     Args:
         units: what was measured.
@@ -265,7 +265,7 @@ def _aided(units: list[Measured], runs: int) -> list[Claim]:
 
 
 def shaken(unit: Measured, name: str, sigma: float) -> np.ndarray:
-    """Errors (n, 2) of tilt and heading in deg of a filter whose R has `sigma` m/s2 for the accelerometer.
+    """Compute errors (n, 2) of tilt and heading in deg of a filter whose R has `sigma` m/s2 for the accelerometer.
 
     The rest of R and Q is from the ground; no `sigma`: the accelerometer's too.
     """
@@ -284,7 +284,7 @@ def shaken(unit: Measured, name: str, sigma: float) -> np.ndarray:
 
 
 def _engine(units: list[Measured]) -> list[Claim]:
-    """Errors against the truth with R from a ground start that shakes, tilt and heading."""
+    """Compute errors against the truth with R from a ground start that shakes, tilt and heading."""
     claims = []
     for sigma in (0.0, 1.0, 3.0):
         found = []
@@ -298,7 +298,7 @@ def _engine(units: list[Measured]) -> list[Claim]:
 
 
 def _peer(units: list[Measured]) -> list[Claim]:
-    """The cubature filter published since, where its package is installed."""
+    """Run the cubature filter published since, where its package is installed."""
     claims = []
     for aiding in ("none", "airspeed"):
         try:
@@ -313,7 +313,7 @@ def _peer(units: list[Measured]) -> list[Claim]:
 
 
 def _time(times: np.ndarray) -> str:
-    """The median, s."""
+    """Format the median, s."""
     t = float(np.median(times))
     return "never" if math.isinf(t) else f"{t:.2g}"
 

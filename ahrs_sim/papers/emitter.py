@@ -47,7 +47,7 @@ class Experiment:
     emitter: tuple[float, float] = (60e3, 80e3)  # m
 
     def model(self, **settings: float) -> dict[str, float]:
-        """The settings of the emitter model that describe it."""
+        """Make the settings of the emitter model that describe it."""
         return {
             "phase_sigma": math.radians(self.phase_deg),
             "phase_rate_sigma": math.radians(self.phase_rate_deg),
@@ -57,18 +57,18 @@ class Experiment:
         }
 
     def times(self) -> np.ndarray:
-        """(n,) s, of the looks."""
+        """Compute the times of the looks (n,) s."""
         return np.arange(round(self.duration / self.interval) + 1) * self.interval
 
     def inputs(self) -> np.ndarray:
-        """(n, 6) true inputs of the looks, see `estimators.models.emitter`."""
+        """Compute true inputs (n, 6) of the looks, see `estimators.models.emitter`."""
         t = self.times()
         u = np.zeros((len(t), 6))
         u[:, 0], u[:, 2] = self.speed * t, self.speed
         return u
 
     def ranges(self) -> np.ndarray:
-        """(n,) m, from aircraft to emitter."""
+        """Compute ranges (n,) m from aircraft to emitter."""
         return np.asarray(np.hypot(*(np.array(self.emitter) - self.inputs()[:, :2]).T))
 
 
@@ -81,15 +81,15 @@ class Located:
     output: np.ndarray  # (runs, n) of the fix that the paper's output rule has chosen up to then
 
     def first(self, runs: int) -> "Located":
-        """The first few runs of it."""
+        """Take the first few runs."""
         return Located(self.t, self.error[:runs], self.output[:runs])
 
     def rms(self) -> np.ndarray:
-        """(n,) root mean square over the runs."""
+        """Compute the root mean square (n,) over the runs."""
         return np.asarray(np.sqrt(np.mean(self.error**2, axis=0)))
 
     def at(self, t: float) -> float:
-        """RMS error at time t (s), % of the range."""
+        """Look up the RMS error at time t (s), % of the range."""
         return float(100.0 * self.rms()[np.argmin(np.abs(self.t - t))])
 
     def median(self) -> float:
@@ -97,11 +97,11 @@ class Located:
         return float(100.0 * np.median(self.error[:, -1]))
 
     def time(self) -> float:
-        """Time, s, until the RMS error is below `GOAL` for good; NaN when never."""
+        """Find the time, s, until the RMS error is below `GOAL` for good; NaN when never."""
         return time_below(self.t, self.rms())
 
     def spread(self, percent: tuple[float, float] = (5.0, 95.0)) -> list[float]:
-        """Percentiles of `time` over runs drawn again with replacement (bootstrap): how far luck goes."""
+        """Compute percentiles of `time` over runs drawn again with replacement (bootstrap)."""
         random, runs = seeds.generator(_SEED, "emitter", "bootstrap"), len(self.error)
         drawn = [random.integers(0, runs, runs) for _ in range(200)]
         times = [time_below(self.t, np.sqrt(np.mean(self.error[some] ** 2, axis=0))) for some in drawn]
@@ -328,7 +328,7 @@ _HEADING = (
 
 
 def reproduce(quick: bool = False) -> Reproduction:
-    """All tables and figures of the paper, and what lies beyond."""
+    """Reproduce all tables and figures of the paper, and what lies beyond."""
     runs = RUNS // 10 if quick else RUNS
     return Reproduction(
         name="emitter",
@@ -347,7 +347,7 @@ def reproduce(quick: bool = False) -> Reproduction:
 def bound_times(
     measured: str, noise: Sequence[tuple[float, float]], *, own_ship: bool = True, rate_looks: int = 1
 ) -> list[float]:
-    """Times (s) at which the bound passes `GOAL`, for each noise of phase (deg) and phase rate (deg/s).
+    """Find the times (s) at which the bound passes `GOAL`, for each noise of phase (deg) and phase rate (deg/s).
 
     Args:
         measured: "both", "phase" or "rate".
@@ -457,7 +457,7 @@ def _figures(runs: int) -> list[Claim]:
 
 
 def _headings(runs: int) -> list[Claim]:
-    """What an AHRS costs: heading errors of a first-order Gauss-Markov process of 60 s."""
+    """Compute what an AHRS costs: heading errors of a first-order Gauss-Markov process of 60 s."""
     claims, interval, tau = [], 0.5, 60.0
     random = seeds.generator(_SEED, "emitter", "heading")
     shape = np.empty(round(runs * tau / interval))
@@ -494,7 +494,7 @@ _LINE_UP: tuple[tuple[str, str, str, dict[str, Any], dict[str, Any]], ...] = (
 
 
 def _flown(runs: int) -> list[Claim]:
-    """Estimators on flights as fast as the paper's: the median over flights whose sensors differ."""
+    """Run estimators on flights as fast as the paper's: the median over flights whose sensors differ."""
     flown, claims, flights = bench.fly(_FAST, "270 m/s"), [], min(5, runs // 5)
     for label, grade, method, settings, fitted in _LINE_UP:
         costs = []

@@ -65,7 +65,7 @@ _LINEAR = (
 
 
 def regime(which: str) -> list[dict[str, Any]]:
-    """Faults of "constant", "stepped" (variances x1, x5, x10, x20, a minute each) or "thousand" (magnetometer)."""
+    """Make faults of "constant", "stepped" (variances x1, x5, x10, x20, a minute each) or "thousand" (magnetometer)."""
     if which == "constant":
         return []
     if which == "thousand":
@@ -113,7 +113,7 @@ def reproduce(quick: bool = False) -> Reproduction:
 
 
 def _limit(what: str, paper: float, ours: float, runs: int) -> Claim:
-    """A claim that an error stays below the paper's limit; far below is another experiment."""
+    """Make a claim that an error stays below the paper's limit; far below is another experiment."""
     outcome = outcome_of(paper, ours, 0.0)
     if outcome == Outcome.BETTER and ours > 0.25 * paper:
         outcome = Outcome.REPRODUCED
@@ -121,7 +121,7 @@ def _limit(what: str, paper: float, ours: float, runs: int) -> Claim:
 
 
 def _read(flown: Flown, reading: str, runs: int) -> list[Claim]:
-    """The paper's three regimes with its printed noise read as "variances" or, "printed", as deviations."""
+    """Run the paper's three regimes with its printed noise read as "variances" or, "printed", as deviations."""
     claims = []
     suite, walk = {"variances": _VARIANCES, "printed": _PRINTED}[reading], _WALK[reading]
     begin = {"variances": "As variances, ", "printed": "As deviations, "}[reading]

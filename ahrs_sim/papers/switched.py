@@ -61,12 +61,12 @@ _BIAS = (
 
 
 def drive(seed: int, **motion: float) -> Flown:
-    """Laps of the track; `motion` changes how they are driven."""
+    """Drive laps of the track; `motion` changes how they are driven."""
     return fly({**_TRACK, "motion": {**_TRACK["motion"], **motion}, "seed": seed}, "laps")
 
 
 def errors(measured: Measured, method: str, **settings: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Errors (n, 2) of pitch and roll in deg that count, and of the bias (2,) in deg/s, mean of the last 100 s."""
+    """Compute errors (n, 2) of pitch and roll, deg, that count, and of the bias (2,), deg/s, mean of the last 100 s."""
     estimates = measured.estimate(method, **{"bias_start": "zero", **settings})
     counted = estimates.t >= STILL + SETTLED
     end = estimates.t >= STILL + LENGTH - 100.0
@@ -75,7 +75,7 @@ def errors(measured: Measured, method: str, **settings: Any) -> tuple[np.ndarray
 
 
 def true_bias(measured: Measured, t: np.ndarray) -> np.ndarray:
-    """What the gyro had (2,), deg/s, x and y, on average at `t`: the bias given, and the unit's own errors."""
+    """Compute the gyro's mean error (2,), deg/s, x and y, at `t`: the bias given, and the unit's own errors."""
     truth, sensed = measured.flown.truth, measured.samples
     at = np.searchsorted(sensed.t, t)
     return np.array(
@@ -84,7 +84,7 @@ def true_bias(measured: Measured, t: np.ndarray) -> np.ndarray:
 
 
 def plumb(measured: Measured) -> Measured:
-    """The same with gravity alone in the accelerometer, and noise of 1 mg."""
+    """Replace the accelerometer by gravity alone and noise of 1 mg."""
     truth, sensed = measured.flown.truth, measured.samples
     down_b = attitude.down(attitude.interpolate(truth.t, truth.q_nb, sensed.t))
     noise = 0.01 * np.random.default_rng(0).standard_normal(down_b.shape)
@@ -93,7 +93,7 @@ def plumb(measured: Measured) -> Measured:
 
 
 def interrupted(measured: Measured, on: float = 10.5, off: float = 12.5) -> Measured:
-    """The same with an accelerometer that no filter trusts for `off` s after every `on` s, as in the bends."""
+    """Falsify the accelerometer for `off` s after every `on` s, so that no filter trusts it, as in the bends."""
     sensed = measured.samples
     accel_b = sensed.accel_b.copy()
     accel_b[(sensed.t > STILL) & ((sensed.t - STILL) % (on + off) > on)] *= 1.1
@@ -177,7 +177,7 @@ def reproduce(quick: bool = False) -> Reproduction:
 
 
 def _learned(steady: list[Measured]) -> list[Claim]:
-    """What keeps the bias from being learned, one thing taken away after the other."""
+    """Find what keeps the bias from being learned, one thing taken away after the other."""
     parked = {**_TRACK, "motion": {**_TRACK["motion"], "still_s": STILL + LENGTH}}
     standing = [measure(fly({**parked, "seed": k + 1}, "standing"), _SUITE, k + 1, _FAULTS) for k in range(len(steady))]
     level = [plumb(drive) for drive in steady]

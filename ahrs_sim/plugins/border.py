@@ -112,7 +112,7 @@ def _nothing(samples: Samples) -> Estimates:
 
 
 def _misshapen(estimates: object, samples: Samples) -> str | None:
-    """What is wrong with the form of a block of estimates, if anything."""
+    """Describe what is wrong with the form of a block of estimates, if anything."""
     if not isinstance(estimates, Estimates):
         return f"process() returned {type(estimates).__name__}, not estimators.Estimates"
     n = len(samples)
@@ -131,6 +131,6 @@ def _misshapen(estimates: object, samples: Samples) -> str | None:
 
 
 def _where(error: Exception) -> str:
-    """An exception as one line with the innermost place in the user's code."""
+    """Format an exception as one line with the innermost place in the user's code."""
     frame = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {' '.join(str(error).split())} ({Path(frame.filename).name}, line {frame.lineno})"

@@ -238,7 +238,7 @@ def _fill_attitude(estimate: np.void, roll: float, pitch: float, yaw: float, *, 
 
 
 def _array(address: int, rows: int, kind: np.dtype) -> np.ndarray:
-    """Records over memory that this process shares."""
+    """Make records over memory that this process shares."""
     buffer: Any = (ctypes.c_char * (rows * kind.itemsize)).from_address(address)
     array: np.ndarray = np.frombuffer(buffer, kind)
     return array

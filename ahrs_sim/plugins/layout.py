@@ -53,7 +53,7 @@ def read_estimates(rows: np.ndarray) -> Estimates:
 
 
 def constants(known: Site | SensorInfo) -> bytes:
-    """The bytes of `ahrs_site` or `ahrs_sensors`."""
+    """Make the bytes of `ahrs_site` or `ahrs_sensors`."""
     names = SENSORS if isinstance(known, SensorInfo) else [f.name for f in dataclasses.fields(known)]
     values = [getattr(known, name) for name in names]
     return np.concatenate([np.atleast_1d(np.asarray(v, float)) for v in values]).tobytes()

@@ -128,7 +128,7 @@ class HostedEstimator:
         return self._await(limit)
 
     def _await(self, limit: float) -> str | None:
-        """The error in the next answer, or the reason why there is none."""
+        """Wait for an answer; return its error, or the reason why there is none."""
         while b"\n" not in self._pending:
             ready, _, _ = select.select([self._answer], [], [], limit)
             if not ready:
@@ -188,7 +188,7 @@ class FmuEstimator(HostedEstimator):
 
 
 def _anonymous_file(size: int) -> int:
-    """A file of `size` bytes of zeros that nobody else can open."""
+    """Make a file of `size` bytes of zeros that no other process can open."""
     if hasattr(os, "memfd_create"):
         fd = os.memfd_create("ahrs_sim plug-in")
     else:
@@ -207,12 +207,12 @@ def _is_real(stream: Any) -> bool:
 
 
 def _text(value: Any) -> str:
-    """A setting as text: true and false, numbers that read back to the same bits, texts as they are."""
+    """Format a setting: true and false, numbers that read back to the same bits, texts unchanged."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def settings_text(settings: Mapping[str, Any], prefix: str = "") -> str:
-    """The settings as a library receives them; those of a table within are named `table.key`."""
+    """Format the settings as a library receives them; those of a table within are named `table.key`."""
     lines = ""
     for name, value in settings.items():
         inside = isinstance(value, Mapping)

@@ -60,7 +60,7 @@ class AllanTable:
     walk: Coefficient  # unit/sqrt(s)
 
     def rows(self, specified: Mapping[str, np.ndarray] | None = None) -> list[dict[str, Any]]:
-        """One row per axis and coefficient: fitted, its standard error, and what the grade says where given.
+        """Make one row per axis and coefficient: fitted, its standard error, and the grade's figure where given.
 
         Args:
             specified: by coefficient (`density`, `floor`, `walk`), (axes,), as from `specified`.
@@ -83,7 +83,7 @@ class AllanTable:
         return made
 
     def json(self, specified: Mapping[str, np.ndarray] | None = None) -> dict[str, Any]:
-        """The whole table in types that JSON knows."""
+        """Return the whole table in types that JSON knows."""
         return {
             "unit": self.unit,
             "rate_hz": self.rate,
@@ -96,7 +96,7 @@ class AllanTable:
         }
 
     def model(self, tau: np.ndarray) -> np.ndarray:
-        """The fitted deviation (k, axes) at `tau` (k,) s."""
+        """Return the fitted deviation (k, axes) at `tau` (k,) s."""
         n2, f2, k2 = 0.5 * self.density.value**2, self.floor.value**2, self.walk.value**2
         variance = n2 / tau[:, None] + f2 + k2 * tau[:, None] / 3.0
         return np.asarray(np.sqrt(variance))
@@ -138,7 +138,7 @@ def allan_deviation(
 
 
 def _mean_square(theta: np.ndarray, lag: int, chunk: int = 1 << 13) -> float:
-    """Mean square of second differences of `theta` (n,) over `lag`; in chunks that stay in the cache."""
+    """Compute mean square of second differences of `theta` (n,) over `lag`; in chunks that stay in the cache."""
     count = len(theta) - 2 * lag
     total = 0.0
     for i in range(0, count, chunk):
@@ -189,7 +189,7 @@ def allan_table(
 
 
 def specified(specification: Mapping[str, str], sensor: str) -> dict[str, np.ndarray]:
-    """What a suite's grade says of a sensor, from the flat texts of `Suite.specification` that a log keeps.
+    """Read the grade's figures of a sensor from the flat texts of `Suite.specification` that a log keeps.
 
     Args:
         specification: e.g. `gyro.noise_density_dps_rthz` -> `0.03 (quoted: ...)`.
@@ -283,7 +283,7 @@ def of_log(path: Path, topics: Sequence[str] = (), map_file: Path | None = None)
 
 
 def _known(array: np.ndarray, field: str) -> np.ndarray:
-    """Values (n, 3) of a vector field, NaN where a message says that it has none."""
+    """Compute values (n, 3) of a vector field, NaN where a message says that it has none."""
     values = np.column_stack([array[field][axis] for axis in "xyz"])
     values[array[f"{field}_covariance"][:, 0] == -1.0] = np.nan
     return values
@@ -349,7 +349,7 @@ def evenly(header_ns: np.ndarray, log_ns: np.ndarray, values: np.ndarray, where:
 def _stretches(
     t: np.ndarray, values: np.ndarray, part: np.ndarray, known: np.ndarray
 ) -> tuple[list[tuple[np.ndarray, float]], np.ndarray]:
-    """Rows and rate of each even stretch of one part of a series; how many were late, repeated, gaps, lost."""
+    """Find rows and rate of each even stretch of one part of a series; count late, repeated, gaps, lost."""
     if len(part) < 2:
         return [], np.zeros(4, int)
     late = int(np.sum(np.diff(t[part]) < 0))
@@ -372,7 +372,7 @@ def _stretches(
 
 
 def _gaps(s: np.ndarray) -> np.ndarray:
-    """Samples before which some are missing, from the stamps (n,) in periods."""
+    """Find samples before which some are missing, from the stamps (n,) in periods."""
     steps = np.diff(s)
     burst = max(1, round(len(s) / (1 + int(np.sum(steps > 0.5)))))  # samples that come together
     jitter = 1.05 * float(np.median(np.abs(steps - 1.0))) if burst == 1 else 0.0

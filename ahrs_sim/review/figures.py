@@ -96,7 +96,7 @@ def _continuous(t: np.ndarray, q_nb: np.ndarray) -> np.ndarray:
 
 
 def _modulo(ax: "Axes") -> None:
-    """Headings of 0 to 360 deg at the ticks, whatever the turns."""
+    """Label the ticks with headings of 0 to 360 deg, however many turns were made."""
     from matplotlib.ticker import FuncFormatter, MaxNLocator
 
     ax.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 1.5, 3, 4.5, 9, 10]))
@@ -104,7 +104,7 @@ def _modulo(ax: "Axes") -> None:
 
 
 def _estimated(flight: FlightTraces, e: EstimatorTrace, rows: slice | np.ndarray) -> np.ndarray:
-    """Angles (n, 3) in deg of an estimator next to those of the reference, whatever the turns made."""
+    """Compute angles (n, 3) in deg of an estimator in the same turn as the reference."""
     truth = _continuous(flight.t, flight.q_nb)
     reference = np.column_stack([np.interp(e.t[rows], flight.t, truth[:, k]) for k in range(3)])
     angles = np.asarray(reference + np.degrees(e.error[rows, :3]))
@@ -137,7 +137,7 @@ def _errors(figure: "Figure", flight: FlightTraces) -> "Figure":
 
 
 def _consistency(figure: "Figure", flight: FlightTraces) -> "Figure":
-    """A row an estimator: its errors in its own ±3 sigma, and the NEES per degree of freedom in its 95 % bounds."""
+    """Draw a row an estimator: its errors in its own ±3 sigma, and NEES per degree of freedom in its 95 % bounds."""
     axes = figure.subplots(max(1, len(flight.estimators)), 4, squeeze=False, sharex=True)
     low, high = (float(bound) / 3 for bound in consistency.chi_square_bounds(3))
     for row, e in zip(axes, flight.estimators.values(), strict=True):
@@ -160,7 +160,7 @@ def _consistency(figure: "Figure", flight: FlightTraces) -> "Figure":
 
 
 def _worst(figure: "Figure", flight: FlightTraces) -> "Figure":
-    """Heading, pitch and roll of all estimators in the worst ten seconds of each."""
+    """Draw heading, pitch and roll of all estimators in the worst ten seconds of each."""
     axes = figure.subplots(max(1, len(flight.estimators)), 3, squeeze=False)
     truth = _continuous(flight.t, flight.q_nb)
     for row, chosen in zip(axes, flight.estimators.values(), strict=True):

@@ -83,7 +83,7 @@ def page(flights: Sequence[FlightTraces]) -> str:
 
 
 def _assemble(data: str, packed: str) -> str:
-    """The template with everything in its place."""
+    """Fill the template."""
     folder = resources.files("ahrs_sim.review") / "page"
     parts = {name: (folder / name).read_text(encoding="utf-8") for name in ("template.html", *_PARTS.values())}
     # In a script element "</script" would end the data, and "<!--<script" swallow what follows.
@@ -114,7 +114,7 @@ _PARTS = {
 
 
 def _labels(flights: Sequence[FlightTraces]) -> list[str]:
-    """Names of the logs, numbered where two are the same."""
+    """Name the logs, numbered where two names are the same."""
     names = [f.label for f in flights]
     return [f"{n} ({names[:i].count(n) + 1})" if names.count(n) > 1 else n for i, n in enumerate(names)]
 
@@ -183,7 +183,7 @@ class _Packer:
 
 
 def _gridded(t: np.ndarray, values: np.ndarray, t0: float, dt: float, n: int) -> np.ndarray:
-    """Values (n,) on an even grid: of several in a cell the one furthest from zero, NaN in empty cells.
+    """Put values (n,) on an even grid: of several in a cell the one furthest from zero, NaN in empty cells.
 
     A single empty cell, which jitter makes, takes its predecessor.
     """
@@ -242,7 +242,7 @@ class _Clock:
 
 
 def _run(flight: FlightTraces, label: str, packer: _Packer, rate: float) -> dict[str, Any]:
-    """What the page knows of a flight."""
+    """Collect the page's data of a flight."""
     clock = _Clock(float(flight.t[0]), float(flight.t[-1]), packer)
     return {
         "kind": "flight",
@@ -278,7 +278,7 @@ def _truth(flight: FlightTraces, clock: _Clock, dt: float) -> dict[str, Any]:
 
 
 def _stretches(t: np.ndarray, values: np.ndarray) -> list[list[float]]:
-    """Runs of equal values: [start, end, value]."""
+    """Find runs of equal values: [start, end, value]."""
     if not len(t):
         return []
     starts = np.flatnonzero(np.r_[True, np.diff(values) != 0])
@@ -298,7 +298,7 @@ def _suite(flight: FlightTraces, name: str, clock: _Clock) -> dict[str, Any]:
 
 
 def _estimator(flight: FlightTraces, e: EstimatorTrace, clock: _Clock, dt: float) -> dict[str, Any]:
-    """What the page knows of an estimator: angles in deg, rates in deg/s."""
+    """Collect the page's data of an estimator: angles in deg, rates in deg/s."""
     error = np.degrees(e.error[:, _DRAWN].astype(float))
     slow, ct = 1.0, e.coarse_t
     rate = min(COARSE, _rate(ct))
@@ -334,14 +334,14 @@ def _estimator(flight: FlightTraces, e: EstimatorTrace, clock: _Clock, dt: float
 
 
 def _summary(flight: FlightTraces, e: EstimatorTrace) -> dict[str, Any]:
-    """The row of an estimator in the table: errors over all and by phase, and its consistency."""
+    """Return the row of an estimator in the table: errors over all and by phase, and its consistency."""
     errors = accuracy.summary([e.error], phases.at(flight.truth_t, flight.phase, e.t))
     consistent = consistency.summary(e.nees, e.nis, e.nis_freedom, e.inside)
     return _rounded({**errors, **{key: consistent[key] for key in ("nees", "nis", "inside")}})
 
 
 def _rounded(values: dict[str, Any]) -> dict[str, Any]:
-    """Numbers with as many digits as anybody needs."""
+    """Round numbers to the digits that a plot can show."""
     return {k: _rounded(v) if isinstance(v, dict) else v if v is None else _number(v) for k, v in values.items()}
 
 
@@ -437,7 +437,7 @@ def _percentiles(values: np.ndarray) -> np.ndarray:
 
 
 def _median_summary(summaries: list[dict[str, Any]]) -> dict[str, Any]:
-    """The median over the flights of every number."""
+    """Return the median over the flights of every number."""
     result: dict[str, Any] = {}
     for key, value in summaries[0].items():
         if isinstance(value, dict):

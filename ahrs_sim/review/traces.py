@@ -156,7 +156,7 @@ class FlightTraces:
     attachments: dict[str, str] = field(default_factory=dict)  # text by name
 
     def phase_at(self, t: float) -> str:
-        """Name of the phase at a time (s); empty where nobody knows."""
+        """Name the phase at a time (s); empty: unknown."""
         found = int(phases.at(self.truth_t, self.phase, np.array([t]))[0])
         return "" if found < 0 else PHASES[found]
 
@@ -223,7 +223,7 @@ def gather(
 
 
 def _columns(log: FlightReader) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, str]]:
-    """By topic and name what is needed of the truth and of the suites, and each suite's topic of position fixes.
+    """List the columns of truth and suites by topic and name, and each suite's topic of position fixes.
 
     One pass, for uncompressing is what costs. What a replay has received of a bag counts as suite `bag`.
     """
@@ -259,7 +259,7 @@ def _columns(log: FlightReader) -> tuple[dict[str, dict[str, np.ndarray]], dict[
 
 
 def _truth(log: FlightReader, columns: dict[str, dict[str, np.ndarray]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (n,), attitudes (n, 4) and phases (n,), none where a log has no truth.
+    """Read times (n,), attitudes (n, 4) and phases (n,), empty where a log has no truth.
 
     A recovered log may end between two topics, the shortest counts.
     """
@@ -278,7 +278,7 @@ def _truth(log: FlightReader, columns: dict[str, dict[str, np.ndarray]]) -> tupl
 def _origin(
     log: FlightReader, lla: np.ndarray, columns: dict[str, dict[str, np.ndarray]], fixes: dict[str, str]
 ) -> np.ndarray:
-    """Where positions are counted from (3,): where the flight began, else the first fix; NaN: nobody knows."""
+    """Find the origin of positions (3,): start of the flight, else the first fix; NaN: unknown."""
     for places in (lla, *(columns[fix]["lla"] for fix in fixes.values() if fix in columns)):
         if len(known := places[np.isfinite(places).all(axis=1)]):
             return np.asarray(known[0])

@@ -215,7 +215,7 @@ def make(
 
 
 def _alone(scenario: Scenario, name: str, suite: str | None) -> Scenario:
-    """The scenario with one estimator and its suite, flown on the truth."""
+    """Make the scenario with one estimator and its suite, flown on the truth."""
     tables = {e.name: dict(e.settings) for e in scenario.estimators}
     if name not in tables and "@" not in name:
         if suite is None:
@@ -323,7 +323,7 @@ def _of_seed(
 
 
 def _stated(carried: Component, suite: Suite, name: str) -> str:
-    """The figures of an error as the grade states them; empty when the suite has none, or all are zero."""
+    """List the figures of an error as the grade states them; empty when the suite has none, or all are zero."""
     if name == "mounting error":
         angles = carried.settings.get(MOUNTING, [0.0])
         return f"{MOUNTING} = {angles}" if any(angles) else ""
@@ -337,7 +337,7 @@ def _stated(carried: Component, suite: Suite, name: str) -> str:
 
 
 def _switched_off(carried: Component, off: list[str], grade: Any) -> Component:
-    """The suite's table with zeros for the figures of these errors."""
+    """Make the suite's table with zeros for the figures of these errors."""
     settings = {k: dict(v) if isinstance(v, dict) else v for k, v in carried.settings.items()}
     for name in off:
         if name == "mounting error":

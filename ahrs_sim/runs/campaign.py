@@ -121,7 +121,7 @@ def span(text: str, where: str) -> tuple[float, float]:
 
 
 def _value(text: str) -> Any:
-    """A number, true, false, else the text itself."""
+    """Read a number, true or false, else the text itself."""
     words = {"true": True, "false": False}
     if text in words:
         return words[text]
@@ -215,7 +215,7 @@ class Plan:
         return of
 
     def _hypercube(self, cubes: Sequence[Variation]) -> np.ndarray:
-        """Values (runs, len(cubes)): each span is cut into as many cells as there are runs, each cell used once."""
+        """Draw values (runs, len(cubes)): each span is cut into as many cells as there are runs, each used once."""
         if not cubes:
             return np.empty((0, 0))
         from scipy.stats import qmc
@@ -443,7 +443,7 @@ class Store:
 
 
 def _arrow_types(plan: Plan, pa: Any) -> Callable[[str], Any]:
-    """The type of a column by its name: the same in every file, whatever happens to be in it."""
+    """Choose the type of a column by its name: the same in every file, whatever its values."""
     known = {"run": pa.int64(), "seed": pa.int64(), "estimator": pa.string(), "error": pa.string()}
     for variation in map(Variation.read, plan.vary):
         kinds = {type(v) for v in variation.values}

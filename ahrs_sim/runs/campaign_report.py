@@ -109,7 +109,7 @@ def _kind(name: str, values: list[Any]) -> Any:
 
 
 def _distribution(values: np.ndarray) -> dict[str, float | None]:
-    """Mean, quantiles and maximum of the finite values, and how many are not."""
+    """Compute mean, quantiles and maximum of the finite values; count the others."""
     finite = values[np.isfinite(values)]
     result: dict[str, float | None] = dict.fromkeys(("mean", "p5", "p50", "p95", "max"))
     if len(finite):
@@ -120,7 +120,7 @@ def _distribution(values: np.ndarray) -> dict[str, float | None]:
 
 
 def _sensitivity(values: np.ndarray, own: dict[str, np.ndarray]) -> dict[str, dict[str, float | None]]:
-    """Spearman's rank correlation of a varied value with the errors, and how probable one so large is by chance."""
+    """Compute Spearman's rank correlation of a varied value with the errors, and its p-value."""
     from scipy.stats import spearmanr
 
     result: dict[str, dict[str, float | None]] = {}
@@ -185,7 +185,7 @@ def worst(
 
 
 def worst_runs(store: Store, metric: str, count: int, of: str | None = None) -> list[int]:
-    """Numbers of the worst runs of a campaign; see `worst`.
+    """Find the numbers of the worst runs of a campaign; see `worst`.
 
     Raises:
         InputError: the metric is no column of it.

@@ -119,7 +119,7 @@ def load(path: str | None = None, gate: scenarios.Gate = _FOREIGN) -> Suite:
 
 
 def _placed(settings: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The settings of an estimator, with a library or file beside the suite named by its whole path."""
+    """Name a library or file beside the suite by its whole path in the settings of an estimator."""
     method = str(settings.get("method", ""))
     kind, colon, place = ("lib", ":", method[4:]) if method.startswith("lib:") else ("", "", method)
     path, rest = (place, "") if kind else (place.rpartition(":")[0], f":{place.rpartition(':')[2]}")
@@ -129,7 +129,7 @@ def _placed(settings: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _methods() -> list[str]:
-    """Every method of our own catalogue that makes attitudes from a sensor suite."""
+    """List every method of our own catalogue that makes attitudes from a sensor suite."""
     import estimators
 
     return [method.name for method in estimators.describe() if method.own]
@@ -138,7 +138,7 @@ def _methods() -> list[str]:
 def _every(
     table: Table, file: Path, estimators: Mapping[str, Any], gate: scenarios.Gate, listed: set[str]
 ) -> list[Flight]:
-    """A flight for each shipped scenario that has none, with those of the estimators that its suites can feed."""
+    """Make a flight for each shipped scenario that has none, with the estimators that its suites can feed."""
     seeds, limit = table.value("seeds", [1, 2, 3]), table.number("at_most_s", math.inf, above=0.0)
     table.close()
     made = []

@@ -168,7 +168,7 @@ def local_pool(workers: int | None = None) -> Iterator[Pool]:
 
 
 def _start() -> None:
-    """In a new worker: Ctrl-C is the coordinator's business; heavy imports while the others start too."""
+    """Prepare a new worker: leave Ctrl-C to the coordinator, import heavy modules while the others start."""
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -15,7 +15,7 @@ _M = wgs84.EARTH_RATE**2 * wgs84.A**2 * wgs84.B / wgs84.GM
 
 
 def normal_gravity(lla: np.ndarray) -> np.ndarray:
-    """Magnitude of normal gravity (...,) m/s2 at `lla` (..., 3).
+    """Compute magnitude of normal gravity (...,) m/s2 at `lla` (..., 3).
 
     Somigliana's closed formula on the ellipsoid and its second-order expansion in height (NIMA TR8350.2, eq. 4-1 and
     4-3): 1e-6 m/s2 up to 10 km.
@@ -37,7 +37,7 @@ def gravity_n(lla: np.ndarray) -> np.ndarray:
 
 
 def j2_gravity_n(lla: np.ndarray) -> np.ndarray:
-    """Gravity (..., 3) m/s2 in NED of the J2 field and the Earth's rotation: the field JSBSim flies in."""
+    """Compute gravity (..., 3) m/s2 in NED of the J2 field and the Earth's rotation: the field JSBSim flies in."""
     position = wgs84.ecef(lla)
     r2 = np.sum(position**2, axis=-1)
     z2 = position[..., 2] ** 2 / r2

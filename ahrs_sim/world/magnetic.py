@@ -36,7 +36,7 @@ class MagneticField:
         self._cells: dict[tuple[int, ...], np.ndarray] = {}  # field at the corners
 
     def at(self, lla: np.ndarray) -> np.ndarray:
-        """Field (n, 3) T in NED at `lla` (n, 3) (rad, rad, m above the ellipsoid)."""
+        """Compute field (n, 3) T in NED at `lla` (n, 3) (rad, rad, m above the ellipsoid)."""
         scaled: np.ndarray = lla / _CELL
         cells: np.ndarray = np.floor(scaled)
         if len(cells) == 0:
@@ -51,7 +51,7 @@ class MagneticField:
         return field
 
     def _corners(self, cell: np.ndarray) -> np.ndarray:
-        """Field (8, 3) T at the corners of a cell, (3,) whole numbers."""
+        """Compute field (8, 3) T at the corners of a cell, (3,) whole numbers."""
         key = tuple(cell.astype(int).tolist())
         if key not in self._cells:
             lla = (np.array(key) + _CORNERS) * _CELL
@@ -73,7 +73,7 @@ class MagneticField:
 
 
 def field_n(lla: np.ndarray, epoch: datetime.datetime) -> np.ndarray:
-    """Field (n, 3) T in NED at `lla` (n, 3) on the day of `epoch`.
+    """Compute field (n, 3) T in NED at `lla` (n, 3) on the day of `epoch`.
 
     Raises:
         InputError: the date is outside the model's validity.
@@ -138,7 +138,7 @@ def igrf(lla: np.ndarray, year: float) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def _igrf_coefficients() -> dict[float, tuple[int, np.ndarray]]:
-    """By epoch: degree, and g, h and their change a year (k, 4) in nT, in the order of degree and order."""
+    """Read by epoch: degree, and g, h and their change a year (k, 4) in nT, in the order of degree and order."""
     from importlib.resources import files
 
     found: dict[float, tuple[int, np.ndarray]] = {}

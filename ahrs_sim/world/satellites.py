@@ -35,7 +35,7 @@ SLOTS = np.radians([(node, u) for node, plane in zip(_NODES, _LATITUDES, strict=
 
 
 def seconds_since_epoch(date: datetime.datetime) -> float:
-    """From the constellation's epoch to `date` (UTC when it has no zone), s."""
+    """Compute the time from the constellation's epoch to `date` (UTC when it has no zone), s."""
     return ((date if date.tzinfo else date.replace(tzinfo=datetime.UTC)) - EPOCH).total_seconds()
 
 
@@ -47,7 +47,7 @@ def directions(since_epoch: np.ndarray, lla: np.ndarray) -> np.ndarray:
 
 
 def in_view(since_epoch: np.ndarray, lla: np.ndarray, q_nb: np.ndarray, elevation: float, shadow: float) -> np.ndarray:
-    """Number (n,) of satellites that an antenna on the back of an aircraft receives.
+    """Count the satellites (n,) that an antenna on the back of an aircraft receives.
 
     Args:
         since_epoch: (n,) s.

@@ -50,7 +50,7 @@ def lla(position: np.ndarray) -> np.ndarray:
 
 
 def ned_axes(latitude: np.ndarray, longitude: np.ndarray) -> np.ndarray:
-    """Rotation (..., 3, 3) that takes Earth-fixed vectors to local NED."""
+    """Compute rotation (..., 3, 3) that takes Earth-fixed vectors to local NED."""
     sl, cl, so, co = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
     zero = np.zeros_like(sl)
     rows = [
@@ -62,20 +62,20 @@ def ned_axes(latitude: np.ndarray, longitude: np.ndarray) -> np.ndarray:
 
 
 def offset_n(lla: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """Where `lla` (n, 3) lies in the NED frame at `origin` (3,): (n, 3) m, straight line, exact."""
+    """Locate `lla` (n, 3) in the NED frame at `origin` (3,): (n, 3) m, straight line, exact."""
     axes = ned_axes(np.asarray(origin[0]), np.asarray(origin[1]))
     offset: np.ndarray = (ecef(lla) - ecef(np.asarray(origin))) @ axes.T
     return offset
 
 
 def earth_rate_n(latitude: np.ndarray) -> np.ndarray:
-    """Rotation of the Earth in NED, (..., 3) rad/s."""
+    """Compute rotation of the Earth in NED, (..., 3) rad/s."""
     zero = np.zeros_like(latitude)
     return EARTH_RATE * np.stack([np.cos(latitude), zero, -np.sin(latitude)], axis=-1)
 
 
 def transport_rate_n(lla: np.ndarray, vel_n: np.ndarray) -> np.ndarray:
-    """Rotation of NED against the Earth as it moves along, (..., 3) rad/s, from `lla` and `vel_n` (..., 3).
+    """Compute rotation of NED against the Earth as it moves along, (..., 3) rad/s, from `lla` and `vel_n` (..., 3).
 
     Groves eq. (5.44).
     """
@@ -86,7 +86,7 @@ def transport_rate_n(lla: np.ndarray, vel_n: np.ndarray) -> np.ndarray:
 
 
 def lla_rate(lla: np.ndarray, vel_n: np.ndarray) -> np.ndarray:
-    """Time derivative of `lla` (..., 3) for a velocity `vel_n` (..., 3) m/s: rad/s, rad/s, m/s."""
+    """Compute time derivative of `lla` (..., 3) for a velocity `vel_n` (..., 3) m/s: rad/s, rad/s, m/s."""
     meridian, prime = radii(lla[..., 0])
     return np.stack(
         [

@@ -32,7 +32,7 @@ MANOEUVRES: dict[str, type[Manoeuvre]] = {
 
 
 def parse_steps(tables: Sequence[Table], seed: int = 0) -> tuple[Manoeuvre, ...]:
-    """Manoeuvres from a scenario's `[[step]]` tables; what is random in them follows from its seed.
+    """Make manoeuvres from a scenario's `[[step]]` tables; what is random in them follows from its seed.
 
     Raises:
         InputError: an unknown manoeuvre or key, or a value out of range.

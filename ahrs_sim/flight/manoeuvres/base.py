@@ -17,7 +17,7 @@ class Failure(Exception):
 
 
 def clamp(value: float, limit: float) -> float:
-    """`value` within +-`limit`."""
+    """Clamp `value` to +-`limit`."""
     return max(-limit, min(limit, value))
 
 
@@ -27,7 +27,7 @@ FASTEST = 400.0  # m/s, that a step may ask for; the aircraft's own limits are k
 def bank_for(
     ap: Autopilot, state: State, course: float, turn_rate: float = 0.0, limit: float = math.radians(30.0)
 ) -> float:
-    """Bank angle that brings the ground track to `course`, on top of a turn at `turn_rate` (rad/s) along a curve.
+    """Compute the bank that brings the ground track to `course`, on top of a turn at `turn_rate` (rad/s).
 
     Working on the ground track and not on the heading takes care of the wind.
     """
@@ -36,7 +36,7 @@ def bank_for(
 
 
 def optional(table: Table, key: str, **limits: float) -> float | None:
-    """A number that may be left out."""
+    """Read a number that may be left out."""
     return table.number(key, None, **limits)
 
 
@@ -74,18 +74,18 @@ class Manoeuvre:
         """Look up what is needed of the aircraft."""
 
     def steepest(self, airspeed: float) -> float:
-        """Bank angle that it needs at an airspeed, rad."""
+        """Compute the bank that it needs at an airspeed, rad."""
         return 0.0
 
     def begin(self, ap: Autopilot, state: State) -> None:
-        """Called once, before the first `step`."""
+        """Begin; called once, before the first `step`."""
 
     def step(self, ap: Autopilot, state: State) -> bool:
         """Adjust the set-points; True when the manoeuvre is complete."""
         raise NotImplementedError
 
     def progress(self, state: State) -> str:
-        """How far it got, for the message of a time-out."""
+        """Describe how far it got, for the message of a time-out."""
         return f"at {state.height:.0f} m, {state.airspeed:.1f} m/s"
 
     def take_airspeed(self, ap: Autopilot) -> None:

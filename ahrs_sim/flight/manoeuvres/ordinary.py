@@ -213,7 +213,7 @@ class Turn(Manoeuvre):
         return done
 
     def turned(self, state: State) -> float:
-        """How far round, rad, from the heading that was to be held before."""
+        """Compute the angle turned, rad, from the heading that was to be held before."""
         return state.turned - self.from_turned
 
     def progress(self, state: State) -> str:

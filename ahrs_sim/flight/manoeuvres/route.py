@@ -56,7 +56,7 @@ class _Place:
 
 
 def radius(state: State, bank: float) -> float:
-    """Radius of a turn at the present ground speed, m."""
+    """Compute radius of a turn at the present ground speed, m."""
     return state.ground_speed**2 / (G * math.tan(bank))
 
 
@@ -98,7 +98,7 @@ class _ToPlace(Manoeuvre):
         return math.hypot(self.north - state.north, self.east - state.east)
 
     def direct(self, state: State) -> float:
-        """Course to the place, rad."""
+        """Compute course to the place, rad."""
         return math.atan2(self.east - state.east, self.north - state.north)
 
 

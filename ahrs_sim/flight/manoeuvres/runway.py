@@ -143,7 +143,7 @@ class Approach(Manoeuvre):
         return False
 
     def course_to_join(self, ap: Autopilot, state: State, along: float, cross: float) -> float:
-        """Course to a point ahead of the joining point, so far that the last turn ends on the runway's line."""
+        """Compute the course to a point so far before the joining point that the last turn ends on the line."""
         radius = state.ground_speed**2 / (G * math.tan(self.bank))
         back = self.distance + 2.5 * radius
         side = math.copysign(2.0 * radius, cross)
@@ -199,11 +199,11 @@ class Land(Manoeuvre):
 
 
 def runway(state: State) -> tuple[float, float]:
-    """Where the aircraft is: m along the runway from the start (negative: before it) and m to the right of its line."""
+    """Locate the aircraft: m along the runway from the start (negative: before it) and m to the right of its line."""
     cos, sin = math.cos(state.home_heading), math.sin(state.home_heading)
     return state.north * cos + state.east * sin, state.east * cos - state.north * sin
 
 
 def runway_course(ap: Autopilot, state: State, cross: float) -> float:
-    """Course that leads onto the runway's line and along it."""
+    """Compute the course that leads onto the runway's line and along it."""
     return state.home_heading - math.radians(50.0) * 2.0 / math.pi * math.atan(cross / ap.line_distance)
