@@ -7,7 +7,10 @@
 Installed with the package; everything heavy is imported when it is used.
 """
 
+import fcntl
+import hashlib
 import math
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -65,12 +68,12 @@ FlyScenario = Callable[..., Path]
 
 @pytest.fixture(scope="session")
 def fly_scenario(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FlyScenario]:
-    """Provide a function that flies a scenario into a log; the same flight is flown once a session.
+    """Provide a function that flies a scenario into a log; the same flight is flown once a session, whichever worker.
 
     Its arguments: `scenario`, a name or a path; `duration` in s; `seed`; `estimators`, names as for `ahrs-sim fly
     --estimator`, or the tables of a scenario's `[estimator.NAME]` by name.
     """
-    flown: dict[str, Path] = {}
+    folder = _shared_folder(tmp_path_factory)
 
     def fly(
         scenario: str | Path,
@@ -87,11 +90,20 @@ def fly_scenario(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FlyScenar
         if isinstance(estimators, Mapping):
             tables = {name: dict(settings) for name, settings in estimators.items()}
             checked = parse({**checked.data, "estimator": tables}, checked.where, checked.name, gate=Gate(ANY))
-        key = checked.toml()
-        if key not in flown:
-            log = tmp_path_factory.mktemp(checked.name) / f"{checked.name}.mcap"
-            pipeline.fly(checked, log)
-            flown[key] = log
-        return flown[key]
+        key = hashlib.sha256(checked.toml().encode()).hexdigest()[:16]
+        log = folder / f"{checked.name}-{key}.mcap"
+        with (folder / f"{key}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # gone with its owner, if that dies
+            if not log.exists():
+                pipeline.fly(checked, log, force=True)
+        return log
 
     yield fly
+
+
+def _shared_folder(factory: pytest.TempPathFactory) -> Path:
+    """Make the folder of a session's flights, which the workers of pytest-xdist share."""
+    base = factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "flights"
+    folder.mkdir(exist_ok=True)
+    return folder

@@ -1,5 +1,6 @@
 """The pytest plugin, used as a user would, and the example of the documentation."""
 
+import os
 import re
 import subprocess
 import sys
@@ -44,6 +45,39 @@ def test_the_same_flight_is_flown_once(fly_scenario: FlyScenario) -> None:
     one = fly_scenario("sway", duration=3, estimators=tables)
     assert fly_scenario("sway", duration=3, estimators=tables) == one
     assert fly_scenario("sway", duration=3, seed=5, estimators=tables) != one
+
+
+def test_workers_share_flights(tmp_path: Path) -> None:
+    """Each of two files is on a worker of its own."""
+    for number in (1, 2):
+        (tmp_path / f"test_{number}.py").write_text(
+            "import os\nfrom pathlib import Path\n\n"
+            "def test_it(fly_scenario):\n"
+            '    log = fly_scenario("sway", duration=3, estimators=["ekf-chr"])\n'
+            f'    Path("{number}.txt").write_text(f"{{log}} {{log.stat().st_ino}} {{log.stat().st_mtime_ns}}")\n'
+            f'    Path("worker{number}.txt").write_text(os.environ["PYTEST_XDIST_WORKER"])\n'
+        )
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-n",
+        "2",
+        "--dist",
+        "loadfile",
+        "-p",
+        "no:cacheprovider",
+        "--rootdir",
+    ]
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
+    done = subprocess.run(
+        [*command, str(tmp_path), str(tmp_path)], capture_output=True, text=True, cwd=tmp_path, env=environment
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    workers = [(tmp_path / f"worker{number}.txt").read_text() for number in (1, 2)]
+    assert workers[0] != workers[1]
+    assert (tmp_path / "1.txt").read_text() == (tmp_path / "2.txt").read_text()
 
 
 def test_the_documented_example_runs(tmp_path: Path) -> None:

@@ -20,17 +20,16 @@ from ahrs_sim.evaluation import consistency, metrics
 from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.log.mcap.reader import LogReader
 from ahrs_sim.review import compare, report, traces
+from ahrs_sim.testing import FlyScenario
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 real = pytest.mark.skipif(not DATA.is_dir(), reason=f"real recordings are not there: {DATA}")
 
 
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="session")
+def flown(fly_scenario: FlyScenario) -> Path:
     """A short log with two suites and two estimators."""
-    path = tmp_path_factory.mktemp("flown") / "flight.mcap"
-    pipeline.fly(scenario.load("circuit", duration=24.0, estimators=["ekf-chr", "ckf-chr", "ekf-sbg"]), path)
-    return path
+    return fly_scenario("circuit", duration=24.0, estimators=["ekf-chr", "ckf-chr", "ekf-sbg"])
 
 
 def messages(path: Path, topic: str) -> bytes:

@@ -1,21 +1,17 @@
 """One short flight for all reviews."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from ahrs_sim import pipeline, scenario
 from ahrs_sim.review.traces import FlightTraces, gather
+from ahrs_sim.testing import FlyScenario
 
 
 @pytest.fixture(scope="session")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def flown(fly_scenario: FlyScenario) -> Path:
     """A log of a minute and a half: standing, take-off, climb; two estimators."""
-    path = tmp_path_factory.mktemp("review") / "short.mcap"
-    estimators = ["ekf-chr", "ekf-sbg"]
-    pipeline.fly(scenario.load("circuit", duration=90.0, estimators=estimators), path)
-    yield path
+    return fly_scenario("circuit", duration=90.0, estimators=["ekf-chr", "ekf-sbg"])
 
 
 @pytest.fixture(scope="session")
