@@ -70,7 +70,7 @@ class RecordingLog:
         return self._source.dtype(topic)
 
     def read(self, topic: str) -> np.ndarray:
-        """All messages of a topic.
+        """Read all messages of a topic.
 
         Raises:
             InputError: no such topic, or a damaged file.
@@ -80,7 +80,7 @@ class RecordingLog:
         return np.concatenate(arrays) if arrays else np.empty(0, self._source.dtype(topic))
 
     def blocks(self, topics: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
-        """Messages by topic, portion by portion, in the order of log time.
+        """Read messages by topic, portion by portion, in the order of log time.
 
         Raises:
             InputError: no such topic, or a damaged file.

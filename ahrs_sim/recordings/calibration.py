@@ -25,7 +25,7 @@ _LOSS = 1e-6  # T: a field's error from which on a reading counts as disturbed
 
 
 def gyro_bias(s: Survey) -> tuple[np.ndarray, float] | None:
-    """Mean rate (3,) rad/s of the standing stretches in FRD, and their length in s; None without any."""
+    """Compute the mean rate (3,) rad/s of the standing stretches in FRD, and their length in s; None without any."""
     still = s.still
     seconds = float(still.sum()) * BIN_S
     return (np.mean(s.gyro_b[still], axis=0), seconds) if seconds >= 1.0 else None
@@ -52,7 +52,7 @@ class Turns:
 
 
 def turns(s: Survey, axes: np.ndarray, bins: int = _TURN_BINS) -> Turns:
-    """Pairs `bins` bins apart with a turn of a few degrees or more.
+    """Find pairs `bins` bins apart with a turn of a few degrees or more.
 
     Args:
         s: the survey.
@@ -158,7 +158,7 @@ def fit_mag(mag: np.ndarray, turned: Turns, field: float | None) -> MagFit | Non
 
 
 def _unseen(x: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Directions (k, 10) of hard iron and of soft iron in which the estimate (10,) is within its sigma."""
+    """Find directions (k, 10) of hard and soft iron in which the estimate (10,) is within its sigma."""
     out = []
     for block in (slice(0, 3), slice(3, 9)):
         values, vectors = np.linalg.eigh(covariance[block, block])
@@ -194,7 +194,7 @@ def _sphere(mag: np.ndarray, scale: float) -> np.ndarray:
 
 
 def _thinned(mag: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """At most `_POINTS` readings, as evenly over the directions as they come."""
+    """Choose at most `_POINTS` readings, spread over the directions as evenly as possible."""
     u = (mag - centre) / np.maximum(np.linalg.norm(mag - centre, axis=1, keepdims=True), 1e-12)
     cell = np.floor((u[:, 2] + 1.0) * 5.99).astype(int) * 24 + np.floor(
         (np.arctan2(u[:, 1], u[:, 0]) + math.pi) / (2 * math.pi) * 23.99
@@ -263,17 +263,17 @@ def try_mag(s: Survey, axes: np.ndarray, field: float | None, track: Track | Non
                 found.setdefault(name, []).append(value)
     ratio = {name: float(np.mean(after[name]) / np.mean(values)) for name, values in before.items()}
     total = [math.sqrt(sum(float(np.mean(v)) ** 2 for v in found.values())) for found in (before, after)]
-    told = ", ".join(f"{_WORDS[name]} {_shown(name, before[name])} -> {_shown(name, after[name])}" for name in ratio)
+    changes = ", ".join(f"{_WORDS[name]} {_shown(name, before[name])} -> {_shown(name, after[name])}" for name in ratio)
     worse = [
         name for name, r in ratio.items() if r > _NOT_WORSE and np.mean(after[name]) - np.mean(before[name]) > 2e-3
     ]
     if worse:
         return Trial(
-            None, f"refused, because on what it was not fitted to the {_WORDS[worse[0]]} gets worse ({told})", left
+            None, f"refused, because on what it was not fitted to the {_WORDS[worse[0]]} gets worse ({changes})", left
         )
     if total[1] > _BETTER * total[0]:
-        return Trial(None, f"refused, because what it was not fitted to agrees no better ({told})", left)
-    return Trial(whole, f"kept: on what it was not fitted to, {told}", left)
+        return Trial(None, f"refused, because what it was not fitted to agrees no better ({changes})", left)
+    return Trial(whole, f"kept: on what it was not fitted to, {changes}", left)
 
 
 def _shown(name: str, values: list[float]) -> str:
@@ -282,14 +282,14 @@ def _shown(name: str, values: list[float]) -> str:
 
 
 def _only(s: Survey, bins: np.ndarray) -> Survey:
-    """The survey with the magnetometer of some bins (n,) only: time goes on."""
+    """Keep the magnetometer of some bins (n,) of a survey only; time goes on."""
     return replace(s, mag=np.where(bins[:, None], s.mag, np.nan))
 
 
 def _disagreement(
     s: Survey, iron: tuple[np.ndarray, np.ndarray], axes: np.ndarray, field: float | None, track: Track | None
 ) -> dict[str, float]:
-    """How far a field without hard and soft iron is from what it should be: shares of the field, and rad."""
+    """Measure how far a field without hard and soft iron is off: shares of the field, and rad."""
     hard, soft = iron
     mag_b = (s.mag - hard) @ (axes @ soft).T
     norm = np.linalg.norm(mag_b, axis=1)

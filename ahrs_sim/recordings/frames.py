@@ -33,17 +33,17 @@ ORIENTATIONS: dict[str, tuple[str, ...]] = {
 
 
 def to_frd(body: str) -> np.ndarray:
-    """(3, 3) that takes vectors of `body` axes to FRD."""
+    """Make the rotation (3, 3) of vectors from `body` axes to FRD."""
     return _TO_FRD[body]
 
 
 def to_ned(world: str) -> np.ndarray:
-    """(3, 3) that takes vectors of `world` axes to NED."""
+    """Make the rotation (3, 3) of vectors from `world` axes to NED."""
     return _TO_NED[world]
 
 
 def q_ned(q: np.ndarray, body: str, world: str) -> np.ndarray:
-    """`q_nb` (n, 4) of orientations (n, 4), scalar first, from `body` to `world` axes; NaN where they are none."""
+    """Convert orientations (n, 4), scalar first, from `body` to `world` axes, to `q_nb` (n, 4); NaN stays."""
     norm = np.linalg.norm(q, axis=1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
         unit = np.where(np.abs(norm - 1.0) < 0.1, q / norm, np.nan)
@@ -62,7 +62,7 @@ def named(array: np.ndarray, type_name: str) -> tuple[str, str]:
 
 
 def orientation(array: np.ndarray, type_name: str) -> np.ndarray:
-    """Orientations (n, 4) as the messages have them, scalar first; NaN where an Imu says that it has none."""
+    """Read orientations (n, 4) of messages, scalar first; NaN where an Imu is marked to have none."""
     place: Sequence[str] = ORIENTATIONS[type_name]
     values: Any = array
     for name in place:

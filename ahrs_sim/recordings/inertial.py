@@ -49,7 +49,7 @@ class Windows:
     moved_w: np.ndarray  # (n, 3, 3) m/s per rad/s of gyro bias
 
     def at(self, t: np.ndarray, margin: tuple[float, float] = (0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
-        """Which of the times (m,) lie in a window with a margin (s) before and after, and its number."""
+        """Mask the times (m,) that lie in a window with a margin (s) before and after; also return its number."""
         k = np.clip(np.searchsorted(self.t, t), 1, len(self.t) - 1)
         number = np.where(self.number[k] == self.number[k - 1], self.number[k], -1)
         first, last = self.t[self.first[number]], self.t[self.last[number]]
@@ -57,7 +57,7 @@ class Windows:
         return np.flatnonzero(inside), number[inside]
 
     def between(self, values: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Values of bins (n, ...) at times (m,) by linear interpolation."""
+        """Interpolate values of bins (n, ...) linearly to times (m,)."""
         k = np.clip(np.searchsorted(self.t, t), 1, len(self.t) - 1)
         weight = (t - self.t[k - 1]) / (self.t[k] - self.t[k - 1])
         weight = weight.reshape(-1, *(1,) * (values.ndim - 1))
@@ -127,7 +127,7 @@ def cumulated(t: np.ndarray, values: np.ndarray, number: np.ndarray) -> np.ndarr
 
 
 def cross(v: np.ndarray) -> np.ndarray:
-    """Matrices (n, 3, 3) of v x."""
+    """Make matrices (n, 3, 3) of v x."""
     out = np.zeros((len(v), 3, 3))
     out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
     out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = v[:, 2], -v[:, 1], v[:, 0]
@@ -152,7 +152,7 @@ class Groups:
         self.normal, self.right = np.zeros((self.size, self.size)), np.zeros(self.size)
 
     def add(self, residual: np.ndarray, common: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Rows of one group; returns pinv(own) (k, m): the group's step is pinv(own) (residual - common step).
+        """Add rows of one group; return pinv(own) (k, m): the group's step is pinv(own) (residual - common step).
 
         Args:
             residual: (m,), weighted.
@@ -176,7 +176,7 @@ class Groups:
         return step
 
     def sigma(self, x: np.ndarray, prior: np.ndarray) -> np.ndarray:
-        """Sigmas (p,): the greater of those of independent rows and of independent groups, left out one by one.
+        """Compute sigmas (p,): the greater of those of independent rows and of independent groups (jackknife).
 
         With few groups they are widened (about as Student's t is) so that three of them hold as they do for many.
         """
@@ -212,7 +212,7 @@ class Track:
     misfit: float  # m/s, median over the windows of the RMS of what is left
 
     def attitude(self, rows: np.ndarray) -> np.ndarray:
-        """C_nb (m, 3, 3) at bins `rows`."""
+        """Compute C_nb (m, 3, 3) at bins `rows`."""
         w = self.windows
         wrong = np.einsum("nij,j->ni", w.turned_w[rows], self.gyro_bias)
         C_wb = w.C_wb[rows] - np.einsum("nij,njk->nik", cross(wrong), w.C_wb[rows])
@@ -220,7 +220,7 @@ class Track:
         return C_nb
 
     def velocity(self, rows: np.ndarray) -> np.ndarray:
-        """Velocity (m, 3) m/s of the IMU at bins `rows`."""
+        """Compute the velocity (m, 3) m/s of the IMU at bins `rows`."""
         w = self.windows
         gained = w.speed_w[rows] + w.moved_w[rows] @ self.gyro_bias - w.turned_w[rows] @ self.accel_bias
         number = w.number[rows]
@@ -262,7 +262,7 @@ def track(
 
 
 def _thinned(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """At most `_PER_SECOND` readings a second."""
+    """Choose at most `_PER_SECOND` readings a second."""
     keep = np.flatnonzero(np.diff(np.floor(t * _PER_SECOND), prepend=-1.0) != 0)
     return t[keep], values[keep]
 
@@ -280,7 +280,7 @@ class _Fit:
         self.noise = 0.1
 
     def start(self, delay: float) -> float:
-        """Attitude and velocity of each window for a delay (Wahba's problem, by SVD); the median misfit, m/s."""
+        """Fit attitude and velocity of each window at a delay (Wahba, SVD); return the median misfit (m/s)."""
         gained = self.w.between(self.w.speed_w, self.t - delay)
         misfits = []
         for k, g in self.groups.items():
@@ -364,7 +364,7 @@ class _Fit:
 
 
 def _rotation(turn: np.ndarray) -> np.ndarray:
-    """Rotation matrix (3, 3) of a rotation vector (3,) rad."""
+    """Make the rotation matrix (3, 3) of a rotation vector (3,) rad."""
     angle = float(np.linalg.norm(turn))
     K = cross(turn[None])[0]
     if angle < 1e-9:
@@ -404,5 +404,5 @@ def course_of(mag_b: np.ndarray, track: Track, declination: float = 0.0) -> Cour
 
 
 def scaled(s: Survey, gyro: np.ndarray, accel: np.ndarray) -> Survey:
-    """The survey as if gyro and accelerometer had been multiplied by (3, 3) matrices."""
+    """Multiply gyro and accelerometer of a survey by (3, 3) matrices."""
     return replace(s, gyro_b=s.gyro_b @ gyro.T, accel_b=s.accel_b @ accel.T)

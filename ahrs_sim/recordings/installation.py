@@ -1,6 +1,6 @@
 """How sensors are installed, found from the recording: delays, lever arm, boresight, orientation, scale of airspeed.
 
-Each is told with its sigma, or that the recording does not show it, and as lines for a map. IMU and GNSS velocity give
+Each is reported with its sigma, or as not shown by the recording, and as lines for a map. IMU and GNSS velocity give
 the motion (`inertial`); against it
 
 * GNSS positions are integrals of the velocity, later by their delay;
@@ -58,7 +58,7 @@ class Installation:
         self.entries.setdefault(table, {})[key] = value
 
     def toml(self) -> str:
-        """The entries as lines of a map."""
+        """Write the entries as lines of a map."""
         return "\n".join(
             f"[{table}]\n" + "\n".join(f"{key} = {value}" for key, value in entries.items())
             for table, entries in self.entries.items()
@@ -66,7 +66,7 @@ class Installation:
 
 
 def find(s: Survey, mag_b: np.ndarray, mapping: Map, gravity: float, dip: float | None) -> Installation:
-    """How the sensors of a recording are installed.
+    """Find how the sensors of a recording are installed.
 
     Args:
         s: the survey.
@@ -165,14 +165,14 @@ def _boresight(out: Installation, s: Survey, track: Track | None, mapping: Map) 
         return
     roll, pitch, yaw = found
     out.found |= {"roll": roll, "incidence": pitch, "yaw": yaw}
-    told = []
+    parts = []
     for name, estimate in (("roll", roll), ("yaw", yaw)):
         value, sigma = (math.degrees(float(x[0])) for x in (estimate.value, estimate.sigma))
-        told.append(f"{name} {value:.1f} +- {sigma:.1f} deg" if estimate.seen else f"{name} {_UNSEEN}")
+        parts.append(f"{name} {value:.1f} +- {sigma:.1f} deg" if estimate.seen else f"{name} {_UNSEEN}")
     value, sigma = (math.degrees(float(x[0])) for x in (pitch.value, pitch.sigma))
     both = f"{value:.1f} +- {sigma:.1f} deg" if pitch.seen else _UNSEEN
     out.lines.append(
-        f"boresight, flying straight without sideslip: {', '.join(told)}; pitch and incidence together {both}"
+        f"boresight, flying straight without sideslip: {', '.join(parts)}; pitch and incidence together {both}"
     )
     angles = [float(e.value[0]) if e.seen and abs(e.value[0]) > _SIGNIFICANT * e.sigma[0] else 0.0 for e in (roll, yaw)]
     if any(angles):
@@ -208,7 +208,7 @@ def _list(values: np.ndarray) -> str:
 
 
 def position_delay(s: Survey, track: Track) -> Estimate | None:
-    """By how many s positions are later than the velocity that IMU and GNSS give."""
+    """Estimate by how many s positions are later than the velocity of IMU and GNSS."""
     w = track.windows
     vel_n, known = _velocities(track)
     moved = inertial.cumulated(w.t, np.where(known[:, None], vel_n, 0.0), w.number)
@@ -226,7 +226,7 @@ def position_delay(s: Survey, track: Track) -> Estimate | None:
 
 
 def _late(t: np.ndarray, number: np.ndarray, parts: object, noise: float) -> Estimate:
-    """A delay from vectors that differ by a constant in each window."""
+    """Estimate a delay from vectors that differ by a constant in each window."""
     x, prior = np.zeros(1), np.ones(1)
     groups = Groups(1)
     for _ in range(6):
@@ -257,7 +257,7 @@ def _weights(left: np.ndarray, noise: float) -> np.ndarray:
 
 
 def mag_delay(s: Survey, w: Windows, mag_b: np.ndarray) -> Estimate | None:
-    """By how many s the magnetometer is later than the gyro, with hard and soft iron and gyro bias found beside it."""
+    """Estimate by how many s the magnetometer is later than the gyro, with hard and soft iron and gyro bias."""
     rows = np.flatnonzero(np.isfinite(mag_b).all(axis=1))
     inside, number = w.at(s.t_mag[rows], (0.3, 0.3))
     rows = rows[inside]
@@ -303,7 +303,7 @@ def mag_delay(s: Survey, w: Windows, mag_b: np.ndarray) -> Estimate | None:
 
 
 def _velocities(track: Track) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity (n, 3) m/s at every bin, and where it is known."""
+    """Compute the velocity (n, 3) m/s at every bin, and where it is known."""
     w = track.windows
     known = np.isin(w.number, track.which)
     vel_n = np.full((len(w.t), 3), np.nan)
@@ -418,7 +418,7 @@ def boresight(s: Survey, track: Track) -> tuple[Estimate, Estimate, Estimate] | 
 
 
 def _local(lla: np.ndarray) -> np.ndarray:
-    """Positions (n, 3) rad, rad, m as metres north, east, down of the first."""
+    """Convert positions (n, 3) rad, rad, m to metres north, east, down of the first."""
     from ahrs_sim.world import wgs84
 
     meridian, prime = wgs84.radii(np.array(lla[0, 0]))

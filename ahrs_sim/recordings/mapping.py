@@ -132,7 +132,7 @@ class Map:
 
 
 def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
-    """The user's map; without a path one that says nothing. Its estimators run what code from outside `gate` allows.
+    """Load the user's map; without a path an empty one. Its estimators run code from outside that `gate` allows.
 
     Raises:
         InputError: file, table and key of what is wrong.
@@ -242,7 +242,7 @@ class Choice:
 
 
 def choose(source: Source, mapping: Map, notes: list[str] | None = None) -> dict[str, Choice]:
-    """Topics by kind: as the map says, else by type, name and rate.
+    """Choose topics by kind: those of the map, else by type, name and rate.
 
     Args:
         source: the recording.
@@ -293,7 +293,7 @@ def choose(source: Source, mapping: Map, notes: list[str] | None = None) -> dict
 
 
 def _apart(source: Source, topics: Mapping[str, Topic], mapping: Map) -> dict[str, Choice]:
-    """A gyro and an accelerometer with a topic each; nothing without both."""
+    """Find a gyro and an accelerometer with a topic each; nothing without both."""
     chosen: dict[str, Choice] = {}
     for kind, place, other in (
         ("imu", "angular_velocity", "linear_acceleration"),
@@ -313,7 +313,7 @@ def _apart(source: Source, topics: Mapping[str, Topic], mapping: Map) -> dict[st
 
 
 def _candidates(kind: str, topics: Mapping[str, Topic], taken: Sequence[str]) -> list[Topic]:
-    """Topics that could be of a kind, the likeliest first."""
+    """List topics that could be of a kind, the likeliest first."""
     found = [t for t in topics.values() if t.type_name in KINDS[kind] and t.name not in taken]
     found = [t for t in found if not any(w in t.name.lower() for w in _DISLIKED.get(kind, ()))]
     if kind in _NEEDED:
@@ -322,7 +322,7 @@ def _candidates(kind: str, topics: Mapping[str, Topic], taken: Sequence[str]) ->
 
 
 def _named(kind: str, wanted: str, topics: Mapping[str, Topic], mapping: Map) -> Topic:
-    """The topic that the map names."""
+    """Find the topic that the map names."""
     if wanted not in topics:
         raise InputError(f"{mapping.where}: [topics]: {kind}: no topic '{wanted}'{nearest(wanted, topics)}")
     if topics[wanted].type_name not in KINDS[kind]:
@@ -374,7 +374,7 @@ def _vector(place: str, array: np.ndarray) -> np.ndarray:
 
 
 def _changes(source: Source, topic: str, values: Callable[[np.ndarray], np.ndarray]) -> bool:
-    """Whether finite values (n, k) of a topic's messages differ anywhere; reads on until they do."""
+    """Test whether finite values (n, k) of a topic's messages differ anywhere; read on until they do."""
     known = None
     for block in source.blocks([topic]):
         if not len(block[topic]):
@@ -389,7 +389,7 @@ def _changes(source: Source, topic: str, values: Callable[[np.ndarray], np.ndarr
 
 
 def described(chosen: Mapping[str, Choice], duration: float) -> Sequence[str]:
-    """One line a choice, for the user."""
+    """Describe each choice in one line."""
     lines = []
     for kind, choice in chosen.items():
         rate = (choice.topic.count - 1) / duration if duration > 0 else math.nan

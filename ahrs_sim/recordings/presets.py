@@ -12,17 +12,17 @@ _FOLDER = Path(__file__).parent / "maps"
 
 
 def names() -> list[str]:
-    """The maps there are."""
+    """List the shipped maps."""
     return sorted(path.stem for path in _FOLDER.glob("*.toml"))
 
 
 def describe() -> list[dict[str, str]]:
-    """Name of each map and what it is for."""
+    """List name and purpose of each map."""
     return [{"name": name, "text": _file(name).read_text(encoding="utf-8").splitlines()[0][2:]} for name in names()]
 
 
 def read(path: Path) -> Table:
-    """A map: `preset:NAME`, or a file, whose `preset` key names the map that it builds on.
+    """Read a map: `preset:NAME`, or a file, whose `preset` key names the map that it builds on.
 
     Raises:
         InputError: no such file or preset.
@@ -38,12 +38,12 @@ def read(path: Path) -> Table:
 
 
 def fitting(path: Path) -> str | None:
-    """Name of the map whose files and columns are those of `path`, a folder or a table of text; None: none fits."""
+    """Find the map whose files and columns are those of `path`, a folder or a table of text; None: none fits."""
     from ahrs_sim.recordings.sources import looks_like_text
 
     if not path.is_dir() and not looks_like_text(path):
         return None
-    # Old forms ask for more; an iPhone's files cannot be told from an Android's.
+    # Old forms ask for more; an iPhone's files look like an Android's.
     order = sorted(names(), key=lambda name: (name.endswith("-ios"), not name.endswith("-old")))
     return next((name for name in order if _fits(path, _preset(name, "").data["csv"])), None)
 
@@ -59,7 +59,7 @@ def _preset(name: str, where: str) -> Table:
 
 
 def _merged(base: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
-    """The tables of `base` with what `own` says instead."""
+    """Overlay the tables of `base` with those of `own`."""
     out = dict(base)
     for key, value in own.items():
         both = isinstance(value, dict) and isinstance(out.get(key), dict)
@@ -68,7 +68,7 @@ def _merged(base: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _fits(path: Path, csv: Mapping[str, Any]) -> bool:
-    """Whether the columns that a map needs, and its times, are in the files that it names."""
+    """Test whether the columns that a map needs, and its times, are in the files that it names."""
     from ahrs_sim.recordings.sources.tables import header_of
 
     needed = False

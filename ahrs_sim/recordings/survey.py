@@ -1,4 +1,4 @@
-"""One look at a whole recording before estimators run: what checks, calibration and installation are told from.
+"""One look at a whole recording before estimators run: from which checks, calibration and installation are made.
 
 Everything is kept as means over a tenth of a second, so an hour takes a few megabytes.
 """
@@ -132,7 +132,7 @@ def look(blocks: Iterable[SuiteBlock]) -> Survey:
 
 
 def _bins(t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Number, count, mean (k) and greatest deviation (k) of each bin: (m, 2 + 2k); one cut by a block counts as two."""
+    """Compute number, count, mean (k) and greatest deviation (k) of each bin, (m, 2 + 2k); one cut in two is two."""
     good = np.isfinite(values).all(axis=1)
     number, values = np.floor(t[good] / BIN_S), values[good]
     if not len(number):
@@ -145,12 +145,12 @@ def _bins(t: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def reference_delay(s: Survey) -> float | None:
-    """By how many s the reference attitude is later than the gyro; None when there is too little motion to tell."""
+    """Estimate by how many s the reference attitude is later than the gyro; None: too little motion."""
     return time_shift(s.t, s.gyro_b, BIN_S, s.t_reference, s.q_nb)
 
 
 def field_at_rest(s: Survey, mag_b: np.ndarray) -> np.ndarray | None:
-    """The field (3,) T along magnetic north, east, down, from readings `mag_b` (n, 3) in FRD without acceleration."""
+    """Compute the field (3,) T, magnetic north, east, down, from readings `mag_b` (n, 3), FRD, at rest."""
     norm = np.linalg.norm(s.accel_b, axis=1)
     calm = s.still if s.still.sum() >= 10 else np.abs(norm - G) < 0.3
     calm = calm & np.isfinite(mag_b).all(axis=1)

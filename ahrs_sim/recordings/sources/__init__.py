@@ -24,7 +24,7 @@ READS = (
 
 
 def open_source(path: Path, mapping: Table) -> Source:
-    """The recording at `path`, by how it begins or else by its suffix.
+    """Open the recording at `path`, by how it begins or else by its suffix.
 
     Args:
         path: a file or folder.
@@ -58,7 +58,7 @@ def open_source(path: Path, mapping: Table) -> Source:
 
 
 def looks_like_text(path: Path) -> bool:
-    """Whether a file begins like a table of text: no zero bytes, and of no kind known by its first bytes."""
+    """Test whether a file begins like a table of text: no zero bytes, and of no kind known by its first bytes."""
     try:
         with path.open("rb") as stream:
             beginning = stream.read(4096)
@@ -69,7 +69,7 @@ def looks_like_text(path: Path) -> bool:
 
 
 def is_mcap(path: Path) -> bool:
-    """Whether it is to be read as an MCAP file: it begins as one, or nothing says that it is something else."""
+    """Test whether to read it as an MCAP file: it begins as one, or as nothing else that is known."""
     return _kind(path, Table({}, "")) == "mcap"
 
 

@@ -114,9 +114,9 @@ class Messages:
             if not name:
                 continue
             _, dtype, form = self._formats[name]
-            told = zip((dtype.names or ())[1:], form, row["UnitIds"], row["MultIds"], strict=False)
+            described = zip((dtype.names or ())[1:], form, row["UnitIds"], row["MultIds"], strict=False)
             factors = found.setdefault(name, {})
-            for column, letter, unit, multiplier in told:
+            for column, letter, unit, multiplier in described:
                 scale = _SCALES.get(letter) or multipliers.get(multiplier, 0.0)
                 if unit == ord("#"):
                     factors[column] = 0.0
@@ -125,7 +125,7 @@ class Messages:
         return found
 
     def _with(self, name: str, *columns: str) -> np.ndarray:
-        """As `raw`; empty when a column is missing."""
+        """Read as `raw`; empty when a column is missing."""
         rows = self.raw(name)
         return rows if set(columns) <= set(rows.dtype.names or ()) else rows[:0]
 
@@ -135,14 +135,14 @@ class Messages:
         return [name for name, (kind, _, _) in self._formats.items() if kind in self._rows]
 
     def raw(self, name: str) -> np.ndarray:
-        """The messages (n,) of a name, as they are stored; empty without any."""
+        """Read the messages (n,) of a name as they are stored; empty without any."""
         if name not in self._formats:
             return np.empty(0, np.uint8)
         kind, dtype, _ = self._formats[name]
         return self._gathered(kind, dtype)
 
     def column(self, name: str, column: str, rows: np.ndarray, default: float = 1.0) -> np.ndarray:
-        """A column of `rows` in SI (angles in deg); `default` is the value of a 1 where the log has no units."""
+        """Read a column of `rows` in SI (angles in deg); `default` is the value of a 1 where the log has no units."""
         letter = self._formats[name][2][(rows.dtype.names or ()).index(column) - 1]
         factor = self.factors.get(name, {}).get(column) or default * _SCALES.get(letter, 1.0)
         values: np.ndarray = rows[column].astype(float)
@@ -193,7 +193,7 @@ class DataFlash(Held):
             self.notes.append(f"{self._back} messages left out: their time is not that of those around them")
 
     def _utc_offset(self) -> int:
-        """From the board's clock to UTC by its GNSS, ns; 0 without."""
+        """Compute the offset from the board's clock to UTC by its GNSS, ns; 0 without."""
         for _, _, rows in self._log.instances("GPS"):
             names = rows.dtype.names or ()
             week, ms = ("GWk", "GMS") if "GWk" in names else ("Week", "TimeMS")
@@ -234,7 +234,7 @@ class DataFlash(Held):
             yield topic, self._columns(IMU, rows, fields, rank=rank + 10 * dead)
 
     def _raw_imu(self) -> Iterator[tuple[str, Columns]]:
-        """Samples at the sensors' own rate (LOG_BITMASK raw IMU), gyro and accelerometer apart."""
+        """Read samples at the sensors' own rate (LOG_BITMASK raw IMU), gyro and accelerometer apart."""
         absent = np.r_[-1.0, np.zeros(8)]
         for name, letter, field, other in (
             ("GYR", "Gyr", "angular_velocity", "linear_acceleration"),
@@ -302,7 +302,7 @@ class DataFlash(Held):
             yield topic, made
 
     def _attitudes(self) -> Iterator[tuple[str, Columns]]:
-        """The simulator's truth, the attitude flown by, and those of the filters."""
+        """Read the simulator's truth, the attitude flown by, and those of the filters."""
         for place, name in enumerate(("SIM", "ATT", "XKF1", "NKF1", "AHR2")):
             for topic, written, k, rows in self._units(name, ("Roll", "Pitch", "Yaw")):
                 quaternion = ("Q1", "Q2", "Q3", "Q4")

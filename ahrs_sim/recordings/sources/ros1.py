@@ -17,7 +17,7 @@ def _store() -> Any:
 
 
 def to_arrays(kind: str, rows: list[tuple[int, bytes]]) -> np.ndarray:
-    """Messages (n,) of a standard type from log time (ns) and content each.
+    """Decode messages (n,) of a standard type from log time (ns) and content each.
 
     Raises:
         ValueError: a message is not what its type says.
@@ -31,7 +31,7 @@ def to_arrays(kind: str, rows: list[tuple[int, bytes]]) -> np.ndarray:
 
 
 def in_bulk(definitions: Definitions, kind: str, rows: list[tuple[int, bytes]]) -> np.ndarray:
-    """Messages (n,) in CDR from log time (ns) and content each.
+    """Decode messages (n,) in CDR from log time (ns) and content each.
 
     Raises:
         CdrError: a message is not what its type says.

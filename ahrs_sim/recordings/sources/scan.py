@@ -92,7 +92,7 @@ def _ulog_step(data: np.ndarray, sizes: np.ndarray, shortest: np.ndarray, at: in
 def _ulog_follows(
     data: np.ndarray, sizes: np.ndarray, shortest: np.ndarray, at: int, end: int, count: int
 ) -> bool:  # pragma: no cover
-    """Whether `count` messages follow from `at` on, or as many as there are."""
+    """Test whether `count` messages follow from `at` on, or as many as there are."""
     for _ in range(count):
         if at >= end:
             return at == end

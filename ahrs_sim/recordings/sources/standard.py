@@ -17,7 +17,7 @@ _ABSENT = {"angular_velocity": "angular_velocity_covariance", "linear_accelerati
 
 
 def standard_name(type_name: str) -> str | None:
-    """The ROS 2 name of a standard type, `sensor_msgs/Imu` or `ros.sensor_msgs.Imu` as well; None: it is none."""
+    """Find the ROS 2 name of a standard type, `sensor_msgs/Imu` or `ros.sensor_msgs.Imu` as well; None: it is none."""
     words = [w for w in type_name.replace("/", ".").split(".") if w != "msg"]
     if len(words) < 2:
         return None
@@ -29,7 +29,7 @@ def standard_name(type_name: str) -> str | None:
 
 
 def array_of(kind: str, log_ns: Sequence[int], values: Sequence[Mapping[str, Any]]) -> np.ndarray:
-    """Messages (n,) of a standard type; numbers that are missing are NaN, what an Imu does not have is marked so.
+    """Make messages (n,) of a standard type; missing numbers are NaN, what an Imu does not have is marked so.
 
     Raises:
         ValueError, TypeError: a value that its field cannot hold.
@@ -73,7 +73,7 @@ def _header(row: Any, message: Mapping[str, Any], log_ns: int) -> None:
 
 
 def _stamp(stamp: Any, log_ns: int) -> tuple[int, int]:
-    """Seconds and nanoseconds; the log's own time where there is none."""
+    """Read seconds and nanoseconds; the log's own time where there is none."""
     if isinstance(stamp, str):
         text, _, fraction = stamp.rstrip("Z").partition(".")
         date = datetime.datetime.fromisoformat(text).replace(tzinfo=datetime.UTC)

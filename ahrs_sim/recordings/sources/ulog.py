@@ -94,7 +94,7 @@ class Messages:
         self.dropouts, self.dropped_s = len(drops), float(lengths.sum()) / 1e3
 
     def _parts(self, start: int) -> list[tuple[int, int]]:
-        """Where messages stand: data may have been appended behind a part that was cut off (flag bits)."""
+        """Find the parts with messages: data may have been appended behind a part that was cut off (flag bits)."""
         end = self._data.size
         appended: list[int] = []
         flagged = end >= start + 43 and self._data[start + 2] == ord("B") and self._data[start] == 40
@@ -162,12 +162,12 @@ class Messages:
         return np.dtype(columns) if columns and len(set(names)) == len(names) else None
 
     def _padding(self, name: str, dtype: np.dtype[Any]) -> int:
-        """Bytes at the end which the logger leaves out."""
+        """Count the bytes at the end which the logger leaves out."""
         last = self._formats[name][-1][2]
         return int(dtype[last].itemsize) if last.startswith("_padding") else 0
 
     def instances(self, name: str) -> Iterator[tuple[int, np.ndarray]]:
-        """Number and messages (n,) of each instance of a message that there is."""
+        """Yield number and messages (n,) of each instance of a message."""
         matching = sorted((s.instance, n) for n, s in self._subscriptions.items() if s.name == name)
         for instance, number in matching:
             rows = self.rows(number)
@@ -175,7 +175,7 @@ class Messages:
                 yield instance, rows
 
     def rows(self, number: int) -> np.ndarray:
-        """The messages of a subscription."""
+        """Read the messages of a subscription."""
         s = self._subscriptions[number]
         out = np.zeros((len(s.offsets), s.dtype.itemsize), np.uint8)
         if len(out):
@@ -207,7 +207,7 @@ class Ulog(Held):
             self.notes.append(f"{self._back} messages left out: their time is not that of those around them")
 
     def _utc_offset(self) -> int:
-        """From the board's clock to UTC by its GNSS, ns; 0 without."""
+        """Compute the offset from the board's clock to UTC by its GNSS, ns; 0 without."""
         for name in ("vehicle_gps_position", "sensor_gps"):
             for _, rows in self._log.instances(name):
                 if "time_utc_usec" in (rows.dtype.names or ()):
@@ -219,7 +219,7 @@ class Ulog(Held):
 
     def _made(self, name: str, type_name: str, make: Any, needed: tuple[str, ...], rank: int = 0,
               suffix: str = "", **more: Any) -> Iterator[tuple[str, Columns]]:  # fmt: skip
-        """Topics of each instance that has the fields needed; `make` gives rows and fields of some messages."""
+        """Make topics of each instance that has the fields needed; `make` gives rows and fields of some messages."""
         for i, rows in self._log.instances(name):
             if set(needed) <= set(rows.dtype.names or ()):
                 rows, fields, worse = make(rows)
@@ -254,7 +254,7 @@ class Ulog(Held):
         yield from self._made("vehicle_imu", IMU, integrated, needed, rank=10)
 
     def _raw_imu(self) -> Iterator[tuple[str, Columns]]:
-        """Gyros and accelerometers apart, in the axes of the vehicle as their drivers turn them."""
+        """Read gyros and accelerometers apart, in the vehicle's axes as their drivers turn them."""
         for name, here, there in (
             ("sensor_gyro", "angular_velocity", "linear_acceleration"),
             ("sensor_accel", "linear_acceleration", "angular_velocity"),
@@ -272,7 +272,7 @@ class Ulog(Held):
             return rows, {"magnetic_field": 1e-4 * _vectors(rows["magnetometer_ga"])}, 0
 
         def repeated(rows: np.ndarray) -> Any:
-            """Rows of the IMU, which repeat the field until there is a new one."""
+            """Make rows of the IMU, which repeat the field until there is a new one."""
             field_ga = _vectors(rows["magnetometer_ga"])
             fresh = np.r_[True, (np.diff(field_ga, axis=0) != 0).any(axis=1)]
             names = rows.dtype.names or ()
@@ -350,7 +350,7 @@ class Ulog(Held):
 
 
 def _vectors(values: np.ndarray) -> np.ndarray:
-    """(n, 3) float64 from an array field."""
+    """Make (n, 3) float64 from an array field."""
     return values.astype(float).reshape(len(values), -1)[:, :3]
 
 
