@@ -188,7 +188,7 @@ def test_command_writes_page_and_figures(
     assert cli.main(["compare", str(flown), "--report", str(output), "--png", str(tmp_path / "png")]) == 0
     assert output.stat().st_size > 100_000
     names = {p.name for p in (tmp_path / "png").iterdir()}
-    assert names == {f"short-{n}.png" for n in ("attitude", "errors", "consistency", "worst", "track", "biases")}
+    assert names == {f"{flown.stem}-{n}.png" for n in ("attitude", "errors", "consistency", "worst", "track", "biases")}
     assert cli.main(["compare", str(flown), "--report", str(tmp_path / "no" / "out.html")]) == 2
     assert "cannot be written" in capsys.readouterr().err
 
