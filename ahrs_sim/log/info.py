@@ -46,7 +46,7 @@ def summary(source: str | Path | Any) -> dict[str, Any]:
 
 
 def text(source: str | Path | Any, *, everything: bool = True) -> str:
-    """The same for a person.
+    """Format `summary` for a reader.
 
     Args:
         source: as for `summary`.
