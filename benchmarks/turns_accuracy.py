@@ -272,14 +272,14 @@ def lines(flown: dict[int, list[dict[str, Any]]]) -> list[str]:
                 asked = goals[SUITES.index(suite)]
                 goal, met = f"{asked[0]:g} / {asked[1]:g}", outcome(found, asked, bounds)
             made.append(
-                f"| {told} | {found[0]:.2f} / {found[1]:.2f} | {times_bound(flown, key, suite)} | {goal} "
+                f"| {title} | {found[0]:.2f} / {found[1]:.2f} | {times_bound(flown, key, suite)} | {goal} "
                 f"| {found[2]:.2f} | {found[3]:.3g} "
-                f"| {found[4]:.2g} | {judged} |"
+                f"| {found[4]:.2g} | {met} |"
             )
         for name in PEERS:
             for key, title in ((name, f"{name}, raw"), (f"{name}-air", f"{name}, accelerometer corrected by airspeed")):
                 if (found := summary(flown, f"{key}-{suite}")) is not None:
-                    made.append(f"| {told} | {found[0]:.2f} / {found[1]:.2f} | | | {found[2]:.2f} | | | |")
+                    made.append(f"| {title} | {found[0]:.2f} / {found[1]:.2f} | | | {found[2]:.2f} | | | |")
         for key, aids in BOUNDS.items():
             if (found := summary(flown, f"bound-{key}-{suite}")) is not None:
                 made.append(f"| bound of any filter: {aids} | {found[0]:.2f} / {found[1]:.2f} | 1 | | | | | |")
