@@ -28,13 +28,14 @@ from ahrs_sim.cli import (
     replay,
     schema,
     serve,
+    tune,
 )
 from ahrs_sim.errors import AhrsSimError, InputError, printable
 from estimators.errors import EstimationError
 
 # in the order of `ahrs-sim --help`
 _COMMANDS = (
-    fly, serve, replay, compare, info, export, recover, allan, check, campaign, certify, choose, budget, bound,
+    fly, serve, replay, compare, info, export, recover, allan, check, campaign, certify, choose, budget, bound, tune,
     papers, aircraft, new, listing, schema,
 )  # fmt: skip
 
