@@ -112,6 +112,23 @@ def matrix(roll: float, pitch: float, heading: float) -> np.ndarray:
     )
 
 
+def cross_matrices(v: np.ndarray) -> np.ndarray:
+    """Make the matrices (n, 3, 3) of `v x` for vectors v (n, 3)."""
+    out = np.zeros((len(v), 3, 3))
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
+    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = v[:, 2], -v[:, 1], v[:, 0]
+    return out
+
+
+def rotation_matrix(turn: np.ndarray) -> np.ndarray:
+    """Make the rotation (3, 3) of a rotation vector (3,), rad (Rodrigues)."""
+    angle = float(np.linalg.norm(turn))
+    K = cross_matrices(turn[None])[0]
+    if angle < 1e-9:
+        return np.asarray(np.eye(3) + K)
+    return np.asarray(np.eye(3) + math.sin(angle) / angle * K + (1 - math.cos(angle)) / angle**2 * K @ K)
+
+
 def euler_of(C: np.ndarray) -> np.ndarray:
     """Roll, pitch, yaw (3,) rad of a rotation matrix (3, 3)."""
     level = math.hypot(C[0, 0], C[1, 0])

@@ -43,6 +43,13 @@ def test_rotation_vectors_are_scipys() -> None:
     assert attitude.rotation_vector(quaternions(P), -quaternions(P)) == pytest.approx(np.zeros((200, 3)), abs=1e-9)
 
 
+def test_matrices_are_scipys() -> None:
+    for r in [*(P.as_rotvec()[:20]), np.zeros(3), np.array([1e-10, 0.0, -2e-10])]:
+        assert attitude.rotation_matrix(r) == pytest.approx(Rotation.from_rotvec(r).as_matrix(), abs=1e-12)
+    crossed = np.einsum("nij,nj->ni", attitude.cross_matrices(V), V[::-1])
+    assert crossed == pytest.approx(np.cross(V, V[::-1]))
+
+
 def test_euler_angles_go_round() -> None:
     angles = np.random.default_rng(4).uniform([-3.1, -1.5, -3.1], [3.1, 1.5, 3.1], (200, 3))
     q = attitude.from_euler(angles)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_sim.recordings import frames
+from ahrs_sim import attitude
 from ahrs_sim.recordings.inertial import Track, course_of
 from ahrs_sim.recordings.survey import BIN_S, Survey
 from ahrs_sim.world.gravity import STANDARD as G
@@ -65,15 +65,13 @@ def turns(s: Survey, axes: np.ndarray, bins: int = _TURN_BINS) -> Turns:
     q = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
     for k in range(bins):  # from the middle of a bin to that of the next
         angle = -0.5 * (rate[k : k + n] + rate[k + 1 : k + 1 + n]) * BIN_S
-        norm = np.linalg.norm(angle, axis=1, keepdims=True)
-        step = np.concatenate([np.cos(norm / 2), 0.5 * np.sinc(norm / (2 * math.pi)) * angle], axis=1)
-        q = frames.product(step, q)
+        q = attitude.product(attitude.exponential(angle), q)
     whole = np.abs(s.t[bins:] - s.t[:n] - bins * BIN_S) < 0.5 * BIN_S
     turned = np.linalg.norm(q[:, 1:], axis=1) > math.sin(math.radians(2.5))
     good = np.flatnonzero(whole & turned & np.isfinite(s.mag[:n] + s.mag[bins:]).all(axis=1))
     good = good[:: max(1, len(good) // _POINTS)]
     eye = np.eye(3)
-    C = np.stack([frames.rotate(q[good], np.tile(e, (len(good), 1))) for e in eye], axis=-1)
+    C = np.stack([attitude.to_nav(q[good], np.tile(e, (len(good), 1))) for e in eye], axis=-1)
     return Turns(s.mag[good], s.mag[good + bins], C)
 
 

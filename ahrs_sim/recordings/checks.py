@@ -12,9 +12,10 @@ from itertools import permutations, product
 import numpy as np
 
 import estimators as library
+from ahrs_sim import attitude
 from ahrs_sim.attitude import interpolate
 from ahrs_sim.evaluation.sync import rates
-from ahrs_sim.recordings import frames, inertial
+from ahrs_sim.recordings import inertial
 from ahrs_sim.recordings.calibration import Turns, turns
 from ahrs_sim.recordings.inertial import Track
 from ahrs_sim.recordings.survey import BIN_S, Survey
@@ -349,7 +350,7 @@ def _fits_better(s: Survey, gyro: np.ndarray, track: Track | None) -> bool:
 def mounting_lines(matrix: np.ndarray, mag_axes: np.ndarray) -> str:
     """What to write into a map for a magnetometer whose readings in FRD a matrix (3, 3) puts right."""
     if np.linalg.det(matrix) > 0:
-        angles = np.degrees(frames.euler_of(matrix))
+        angles = np.degrees(attitude.euler_of(matrix))
         return "[magnetometer] " + ", ".join(
             f"{a}_deg = {round(x):d}" for a, x in zip(("roll", "pitch", "yaw"), angles, strict=True) if abs(x) > 0.5
         )
@@ -400,7 +401,7 @@ def _against_reference(s: Survey, axes: tuple[str, str], delay: float, units: bo
     if len(t) < 20 or len(s.t) < 20:
         return []
     found = []
-    force_n = frames.rotate(interpolate(t, q, s.t), s.accel_b)
+    force_n = attitude.to_nav(interpolate(t, q, s.t), s.accel_b)
     up = np.nanmean(force_n, axis=0) if np.isfinite(force_n).any() else np.zeros(3)
     if np.linalg.norm(up) > 0.5 * G and up[2] > 0:
         found.append(f"gravity points up by the reference attitude: its axes are not {axes[0]}, {axes[1]}? ([frames])")

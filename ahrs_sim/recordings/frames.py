@@ -5,12 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_sim.attitude import euler_of as euler_of
-from ahrs_sim.attitude import from_euler as from_euler
-from ahrs_sim.attitude import product as product
-from ahrs_sim.attitude import to_nav
-
-rotate = to_nav
+from ahrs_sim.attitude import product
 
 BODIES = ("FLU", "FRD")
 WORLDS = ("ENU", "NED")

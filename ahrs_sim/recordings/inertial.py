@@ -17,7 +17,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from ahrs_sim.recordings import frames
+from ahrs_sim import attitude
+from ahrs_sim.attitude import cross_matrices, rotation_matrix
 from ahrs_sim.recordings.survey import BIN_S, Survey
 
 WINDOW_S = 12.0
@@ -94,15 +95,14 @@ def _integrated(s: Survey, first: np.ndarray, last: np.ndarray, number: np.ndarr
     n = len(s.t)
     q = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
     step = 0.5 * (s.gyro_b[:-1] + s.gyro_b[1:]) * np.diff(s.t)[:, None]
-    norm = np.linalg.norm(step, axis=1, keepdims=True)
-    turn = np.concatenate([np.cos(norm / 2), 0.5 * np.sinc(norm / (2 * math.pi)) * step], axis=1)
+    turn = attitude.exponential(step)
     for k in range(1, int((last - first).max()) + 1):
         rows = (first + k)[first + k <= last]
-        q[rows] = frames.product(q[rows - 1], turn[rows - 1])
-    C = np.stack([frames.rotate(q, np.tile(e, (n, 1))) for e in np.eye(3)], axis=-1)
+        q[rows] = attitude.product(q[rows - 1], turn[rows - 1])
+    C = np.stack([attitude.to_nav(q, np.tile(e, (n, 1))) for e in np.eye(3)], axis=-1)
     force_w = np.einsum("nij,nj->ni", C, s.accel_b)
     turned = cumulated(s.t, C, number)
-    lever = np.einsum("nij,njk->nik", cross(force_w), turned)
+    lever = np.einsum("nij,njk->nik", cross_matrices(force_w), turned)
     return Windows(
         t=s.t,
         first=first,
@@ -124,14 +124,6 @@ def cumulated(t: np.ndarray, values: np.ndarray, number: np.ndarray) -> np.ndarr
     begun = np.repeat(starts, np.diff(np.r_[starts, len(t)]))
     since: np.ndarray = whole - whole[begun]
     return since
-
-
-def cross(v: np.ndarray) -> np.ndarray:
-    """Make matrices (n, 3, 3) of v x."""
-    out = np.zeros((len(v), 3, 3))
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = v[:, 2], -v[:, 1], v[:, 0]
-    return out
 
 
 # ----------------------------------------------------------------------------------------------- least squares
@@ -215,7 +207,7 @@ class Track:
         """Compute C_nb (m, 3, 3) at bins `rows`."""
         w = self.windows
         wrong = np.einsum("nij,j->ni", w.turned_w[rows], self.gyro_bias)
-        C_wb = w.C_wb[rows] - np.einsum("nij,njk->nik", cross(wrong), w.C_wb[rows])
+        C_wb = w.C_wb[rows] - np.einsum("nij,njk->nik", cross_matrices(wrong), w.C_wb[rows])
         C_nb: np.ndarray = np.einsum("nij,njk->nik", self.C_nw[w.number[rows]], C_wb)
         return C_nb
 
@@ -321,7 +313,7 @@ class _Fit:
             for k, (inverse, residual, common, _) in inverses.items():
                 own_step = inverse @ (residual - common @ step)
                 self.v0[k] += own_step[:3]
-                self.C[k] = _rotation(own_step[3:]) @ self.C[k]
+                self.C[k] = rotation_matrix(own_step[3:]) @ self.C[k]
             self.noise = max(1e-3, 0.5 * (self.noise + float(np.median(misfits))))
         for k, (_, _, _, own) in inverses.items():
             covariance = np.linalg.inv(own.T @ own + 1e-9 * np.eye(6))
@@ -347,8 +339,10 @@ class _Fit:
         residual = self.vel_n[g] - self.v0[k] - swept - self.down * since
         ahead = w.between(w.speed_w, at + 0.05) - w.between(w.speed_w, at - 0.05)
         accel_n = (ahead / 0.1) @ C.T + self.down
-        common = np.concatenate([-accel_n[:, :, None], C @ (C_wb @ cross(rate)), C @ moved, -(C @ turned)], axis=2)
-        own = np.concatenate([np.broadcast_to(np.eye(3), (len(g), 3, 3)), -cross(swept)], axis=2)
+        common = np.concatenate(
+            [-accel_n[:, :, None], C @ (C_wb @ cross_matrices(rate)), C @ moved, -(C @ turned)], axis=2
+        )
+        own = np.concatenate([np.broadcast_to(np.eye(3), (len(g), 3, 3)), -cross_matrices(swept)], axis=2)
         size = np.linalg.norm(residual, axis=1) / (math.sqrt(3.0) * self.noise)
         weight = np.sqrt(np.minimum(1.0, 2.0 / np.maximum(size, 1e-9))) / self.noise
         rows = (weight[:, None] * residual).ravel()
@@ -361,15 +355,6 @@ class _Fit:
             np.concatenate([own, prior]),
             residual,
         )
-
-
-def _rotation(turn: np.ndarray) -> np.ndarray:
-    """Make the rotation matrix (3, 3) of a rotation vector (3,) rad."""
-    angle = float(np.linalg.norm(turn))
-    K = cross(turn[None])[0]
-    if angle < 1e-9:
-        return np.asarray(np.eye(3) + K)
-    return np.asarray(np.eye(3) + math.sin(angle) / angle * K + (1 - math.cos(angle)) / angle**2 * K @ K)
 
 
 @dataclass(frozen=True)

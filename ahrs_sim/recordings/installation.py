@@ -282,7 +282,7 @@ def mag_delay(s: Survey, w: Windows, mag_b: np.ndarray) -> Estimate | None:
                 -np.einsum("nij,nj->ni", C, np.cross(rate, u))[:, :, None],
                 -C @ soft,
                 np.stack([np.einsum("nij,nj->ni", C, raw @ b.T) for b in basis], axis=2),
-                inertial.cross(fixed) @ turned,
+                attitude.cross_matrices(fixed) @ turned,
             ],
             axis=2,
         )

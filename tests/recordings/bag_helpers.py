@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ahrs_sim import attitude
 from ahrs_sim.log.mcap.writer import LogWriter
 from ahrs_sim.recordings import frames
 from estimators.rotations import triad
@@ -35,7 +36,7 @@ def motion(duration: float = 60.0, rate: float = 100.0, still: float = 25.0) -> 
     roll, droll = 0.9 * soft * np.sin(1.1 * s), 0.9 * (d * np.sin(1.1 * s) + soft * 1.1 * np.cos(1.1 * s))
     pitch, dpitch = 0.6 * soft * np.sin(0.7 * s), 0.6 * (d * np.sin(0.7 * s) + soft * 0.7 * np.cos(0.7 * s))
     yaw, dyaw = 0.4 + 0.5 * s * soft, 0.5 * soft + 0.5 * s * d
-    q_nb = frames.from_euler(np.column_stack([roll, pitch, yaw]))
+    q_nb = attitude.from_euler(np.column_stack([roll, pitch, yaw]))
     gyro_b = np.column_stack(
         [
             droll - dyaw * np.sin(pitch),
@@ -45,7 +46,7 @@ def motion(duration: float = 60.0, rate: float = 100.0, still: float = 25.0) -> 
     )
     back = q_nb * [1, -1, -1, -1]
     down = np.tile([0.0, 0.0, -G], (len(t), 1))
-    return Motion(t, q_nb, gyro_b, frames.rotate(back, down), frames.rotate(back, np.tile(MAG_N, (len(t), 1))))
+    return Motion(t, q_nb, gyro_b, attitude.to_nav(back, down), attitude.to_nav(back, np.tile(MAG_N, (len(t), 1))))
 
 
 class Triad:
@@ -111,7 +112,7 @@ def write_bag(
         q = frames.q_ned(m.q_nb, "FRD", "NED")
         w = {"ENU": np.array([[0.0, 0.5**0.5, 0.5**0.5, 0.0]]), "NED": np.array([[1.0, 0.0, 0.0, 0.0]])}[world]
         b = {"FLU": np.array([[0.0, 1.0, 0.0, 0.0]]), "FRD": np.array([[1.0, 0.0, 0.0, 0.0]])}[body]
-        q = frames.product(frames.product(w * [1, -1, -1, -1], q), b * [1, -1, -1, -1])
+        q = attitude.product(attitude.product(w * [1, -1, -1, -1], q), b * [1, -1, -1, -1])
         log.write(reference, ns(m.t), ns(m.t + reference_delay) - (0 if header else EPOCH),
                   **{"pose.pose.orientation": q})  # fmt: skip
         slow = slice(None, None, 20)

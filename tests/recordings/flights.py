@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_sim.recordings import frames, survey
+from ahrs_sim import attitude
+from ahrs_sim.recordings import survey
 from ahrs_sim.recordings.survey import Survey
 from ahrs_sim.sensors.records import (
     AirRecord,
@@ -91,7 +92,7 @@ class Path:
         turn = (self.air(t + h)[0] - self.air(t - h)[0]) / (2 * h)
         bank = np.arctan(speed * turn / G)
         pitch = np.arcsin(climb / speed) + np.radians(2.0) * np.cos(bank)
-        return frames.from_euler(np.column_stack([bank, pitch, heading]))
+        return attitude.from_euler(np.column_stack([bank, pitch, heading]))
 
 
 def measured(
@@ -110,22 +111,22 @@ def measured(
     q, h = path.q_nb(t), 1e-4
     back = q * [1, -1, -1, -1]
     after, before = path.q_nb(t + h), path.q_nb(t - h)
-    step = frames.product(before * [1, -1, -1, -1], after)
+    step = attitude.product(before * [1, -1, -1, -1], after)
     gyro = 2 * step[:, 1:] * np.sign(step[:, :1]) / (2 * h)
     acceleration = (path.vel_n(t + 1e-2) - path.vel_n(t - 1e-2)) / 2e-2
-    accel = frames.rotate(back, acceleration - [0.0, 0.0, G])
+    accel = attitude.to_nav(back, acceleration - [0.0, 0.0, G])
     to_imu = planted.boresight.T
     gyro = gyro @ to_imu.T + planted.gyro_bias + noise * rng.normal(0, 2e-3, gyro.shape)
     accel = accel @ to_imu.T + planted.accel_bias + noise * rng.normal(0, 5e-2, accel.shape)
     at = t - planted.mag_delay
-    mag = frames.rotate(path.q_nb(at) * [1, -1, -1, -1], np.tile(FIELD_N, (len(t), 1))) @ to_imu.T
+    mag = attitude.to_nav(path.q_nb(at) * [1, -1, -1, -1], np.tile(FIELD_N, (len(t), 1))) @ to_imu.T
     mag = mag @ planted.mag_axes + planted.hard_iron + noise * rng.normal(0, 3e-7, mag.shape)  # axes.T @ m, as rows
     tg = np.arange(round(duration * gnss)) / gnss + 0.013
     at = tg - planted.gnss_delay
-    rate_b = frames.product(path.q_nb(at - h) * [1, -1, -1, -1], path.q_nb(at + h))
+    rate_b = attitude.product(path.q_nb(at - h) * [1, -1, -1, -1], path.q_nb(at + h))
     rate_b = 2 * rate_b[:, 1:] * np.sign(rate_b[:, :1]) / (2 * h)
     arm = planted.boresight @ planted.lever_b
-    velocity = path.vel_n(at) + frames.rotate(path.q_nb(at), np.cross(rate_b, arm))
+    velocity = path.vel_n(at) + attitude.to_nav(path.q_nb(at), np.cross(rate_b, arm))
     velocity += noise * (rng.normal(0, 0.05, velocity.shape) + _wander(rng, tg, 0.05, 10.0))
     fine = np.arange(-1.0, duration, 0.01)
     way = np.cumsum(path.vel_n(fine + 0.005), axis=0) * 0.01

@@ -10,10 +10,11 @@ import pytest
 from bag_helpers import EPOCH, LLA, MAG_N, Motion, motion, ns, write_bag, write_ulog
 from mcap.writer import Writer
 
+from ahrs_sim import attitude
 from ahrs_sim.errors import InputError
 from ahrs_sim.evaluation.sync import constant_rotations, heading_offset, rates, time_shift
 from ahrs_sim.log.mcap.writer import LogWriter
-from ahrs_sim.recordings import calibration, frames
+from ahrs_sim.recordings import calibration
 from ahrs_sim.recordings.recording import Bag, open_bag
 from ahrs_sim.sensors.assemble import Assembler
 from estimators.types import Samples
@@ -363,13 +364,13 @@ def test_sync_and_alignment() -> None:
     assert np.abs(rate_b - m.gyro_b[50:-50:10]).max() < 0.03
     assert time_shift(at, rate_b, 0.1, m.t + 0.123, m.q_nb) == pytest.approx(0.123, abs=5e-4)
     assert time_shift(at, 0 * rate_b, 0.1, m.t, m.q_nb) is None
-    left, right = frames.from_euler(np.array([[0.1, -0.2, 0.5], [0.02, 0.03, -0.04]]))
-    turned = frames.product(frames.product(left[None], m.q_nb), right[None])
+    left, right = attitude.from_euler(np.array([[0.1, -0.2, 0.5], [0.02, 0.03, -0.04]]))
+    turned = attitude.product(attitude.product(left[None], m.q_nb), right[None])
     found = constant_rotations(turned, m.q_nb)
     assert abs(found[0] @ left) == pytest.approx(1.0, abs=1e-6)
     assert abs(found[1] @ right) == pytest.approx(1.0, abs=1e-6)
-    about_down = frames.from_euler(np.array([[0.0, 0.0, 0.3]]))
-    assert heading_offset(frames.product(about_down, m.q_nb), m.q_nb) == pytest.approx(0.3, abs=1e-9)
+    about_down = attitude.from_euler(np.array([[0.0, 0.0, 0.3]]))
+    assert heading_offset(attitude.product(about_down, m.q_nb), m.q_nb) == pytest.approx(0.3, abs=1e-9)
 
 
 # ----------------------------------------------------------------------------------------------- other files
