@@ -240,13 +240,16 @@ def warm_up(pool: Pool, runs: Iterable[Run]) -> None:
             raise InputError(str(outcome.error))
 
 
-def fly_all(pool: Pool, runs: Iterable[Run], ahead: int | None = None) -> Iterator[Outcome]:
+def fly_all(
+    pool: Pool, runs: Iterable[Run], ahead: int | None = None, task: Callable[[Run], Outcome] = fly
+) -> Iterator[Outcome]:
     """Fly runs on the workers of a pool.
 
     Args:
         pool: the workers.
         runs: taken one by one, `ahead` more than have come back.
         ahead: default two per worker, so that none waits for the coordinator.
+        task: what a worker does with a run.
 
     Yields:
         Outcomes as they come.
@@ -259,10 +262,10 @@ def fly_all(pool: Pool, runs: Iterable[Run], ahead: int | None = None) -> Iterat
 
     def send(run: Run) -> None:
         try:
-            flying[pool.executor.submit(fly, run)] = run
+            flying[pool.executor.submit(task, run)] = run
         except BrokenProcessPool:  # died between two flights
             pool.renew()
-            flying[pool.executor.submit(fly, run)] = run
+            flying[pool.executor.submit(task, run)] = run
 
     while True:
         if suspects:

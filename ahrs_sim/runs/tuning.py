@@ -1,7 +1,7 @@
 """`ahrs-sim campaign --tune`: settings of an estimator that minimise an error over a small campaign.
 
 The search sees the runs 0 to N-1. N others that it has never seen are flown with the settings as they were and as they
-are now; the result is the mean paired difference with its interval.
+are now; the result is the mean paired difference with its interval. Each is flown and measured once a worker (`kept`).
 """
 
 import math
@@ -13,6 +13,7 @@ import numpy as np
 
 from ahrs_sim.errors import CheckError, InputError, nearest
 from ahrs_sim.evaluation import paired
+from ahrs_sim.runs import kept
 from ahrs_sim.runs import pool as flights
 from ahrs_sim.runs.campaign import Plan, put, span
 from ahrs_sim.runs.pool import Pool
@@ -66,7 +67,7 @@ class Tuned:
     gain: float  # mean of the paired differences, positive is better
     low: float | None  # its 95 % interval; None: too few runs
     high: float | None
-    flights: int
+    flights: int  # runs of the estimator; a worker flies each flight once, its settings do not change it
     runs: int
     trials: list[dict[str, float]]  # in the order flown: the settings and "score", the mean over the search's runs
 
@@ -83,7 +84,7 @@ class Tuned:
         span = "" if self.low is None else f" (95 %: {self.low:.4g} to {self.high:.4g})"
         lines.append(
             f"{self.metric}, {self.runs} held-out runs: {self.before:.4g} -> {self.after:.4g}, gain {self.gain:.4g}"
-            f"{span}: {self._outcome()}; {self.flights} flights"
+            f"{span}: {self._outcome()}; {self.flights} runs of the estimator"
         )
         return "\n".join(lines)
 
@@ -141,7 +142,7 @@ def tune(
         if not flown:
             flights.warm_up(pool, todo[:1])
         values = np.full(len(numbers), np.nan)
-        for outcome in flights.fly_all(pool, todo):
+        for outcome in flights.fly_all(pool, todo, task=kept.fly):
             if outcome.bad_input:
                 raise InputError(str(outcome.error))
             figures = outcome.figures.get(estimator, {})
