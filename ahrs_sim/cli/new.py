@@ -2,6 +2,7 @@
 
 import argparse
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 from ahrs_sim.cli.common import Commands
@@ -15,6 +16,12 @@ _NEXT = {
     "suite": 'ahrs-sim check {path} --renew --why "first baseline"',
 }
 """What each file is for: printed once it is there."""
+_LANGUAGES: dict[str, dict[str, str]] = {
+    "python": {},
+    "c": {"SUFFIX": "c", "COMPILER": "$(CC) $(CFLAGS) -std=c99"},
+    "cpp": {"SUFFIX": "cpp", "COMPILER": "$(CXX) $(CXXFLAGS) -std=c++20"},
+}
+"""By language: words of the templates (in `native`, which C and C++ share) and what stands for them."""
 
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
@@ -22,7 +29,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command = commands.add_parser("new", help="write an estimator's project, a scenario, grade or suite to start from")
     command.add_argument("what", choices=["estimator", *_NEXT])
     command.add_argument("name", metavar="NAME", help="of the project or file: letters, digits, _, a letter first")
-    command.add_argument("--lang", choices=["c", "cpp", "python"], help="of an estimator; default: python")
+    command.add_argument("--lang", choices=sorted(_LANGUAGES), help="of an estimator; default: python")
     command.add_argument("-o", "--output", type=Path, metavar="PATH", help="default: a folder NAME, a file NAME.toml")
     return command
 
@@ -50,11 +57,13 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _write_project(name: str, folder: Path, language: str) -> None:
-    for source in (_TEMPLATES / "common", _TEMPLATES / language):
+    words = {**_LANGUAGES[language], "NAME": name}  # last: a name may hold one of the others
+    sources = [_TEMPLATES / "common", _TEMPLATES / language]
+    for source in sources if language == "python" else [*sources, _TEMPLATES / "native"]:
         for path in sorted(p for p in source.rglob("*") if p.is_file() and p.suffix != ".pyc"):
-            target = folder / str(path.relative_to(source)).replace("NAME", name)
+            target = folder / _replaced(str(path.relative_to(source)), words)
             target.parent.mkdir(parents=True, exist_ok=True)
-            text = path.read_text(encoding="utf-8").replace("NAME", name)
+            text = _replaced(path.read_text(encoding="utf-8"), words)
             if language == "python":
                 text = text.replace(f"lib:./lib{name}.so", f"{name}:{name}")
             target.write_text(text, encoding="utf-8")
@@ -63,3 +72,9 @@ def _write_project(name: str, folder: Path, language: str) -> None:
         (folder / _INTERFACE.name).write_text(_INTERFACE.read_text(encoding="utf-8"), encoding="utf-8")
         print(folder / _INTERFACE.name)
     print(f"cd {folder} && make test fly")
+
+
+def _replaced(text: str, words: Mapping[str, str]) -> str:
+    for word, value in words.items():
+        text = text.replace(word, value)
+    return text
