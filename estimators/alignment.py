@@ -13,16 +13,31 @@ dv_n/dt - g. That brings a start in a turn from the angle of bank to a few degre
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
 from estimators.jit import inner
-from estimators.native import Flag, Integer, Kernel, Number, Record, Vector3, adapts, entry, local, record, shaped
+from estimators.native import (
+    Flag,
+    Integer,
+    Kernel,
+    Matrix3,
+    Number,
+    Record,
+    Vector3,
+    Vector4,
+    adapts,
+    entry,
+    loaded,
+    local,
+    passed,
+    record,
+    shaped,
+)
 from estimators.plausible import MAX_FIELD, MAX_FORCE, MAX_RATE, MAX_SPEED, on_earth, plausible
-from estimators.records import SAMPLE, Sample
+from estimators.records import PLACE, SAMPLE, SHEET, Place, Sample, Sheet
 from estimators.rotations import attitude_matrix, from_euler, multiply, to_body, to_nav, triad, turn
 from estimators.settings import Setting
 from estimators.types import SensorInfo, Site
@@ -51,21 +66,20 @@ COARSE_TILT, COARSE_HEADING, NO_HEADING = math.radians(20.0), math.radians(45.0)
 AIDED_TILT, AIDED_HEADING = math.radians(5.0), math.radians(12.0)  # of a start in motion with a velocity aid
 
 
-@dataclass(frozen=True)
-class Alignment:
+class Alignment(Record):
     """What a stationary stretch says (or, coarse, the last second before it was given up)."""
 
-    still: bool
-    q_nb: np.ndarray  # (4,)
-    sigma_n: np.ndarray  # (3,) rad, of a rotation about north, east, down
-    gyro_bias: np.ndarray  # (3,) rad/s
-    gyro_bias_sigma: np.ndarray  # (3,)
-    gyro_cov: np.ndarray  # (3, 3), of single samples
-    accel_cov: np.ndarray  # (3, 3)
-    mag_cov: np.ndarray  # (3, 3) NaN without magnetometer
-    vel_n: np.ndarray  # (3,) m/s, GNSS at the end of a start in motion, else NaN
-    lla: np.ndarray  # (3,) rad, rad, m, likewise
-    air_n: np.ndarray  # (3,) m/s, velocity in the air mass, likewise from the airspeed
+    still: Flag
+    q_nb: Vector4
+    sigma_n: Vector3  # rad, of a rotation about north, east, down
+    gyro_bias: Vector3  # rad/s
+    gyro_bias_sigma: Vector3
+    gyro_cov: Matrix3  # of single samples
+    accel_cov: Matrix3
+    mag_cov: Matrix3  # NaN without magnetometer
+    vel_n: Vector3  # m/s, GNSS at the end of a start in motion, else NaN
+    lla: Vector3  # rad, rad, m, likewise
+    air_n: Vector3  # m/s, velocity in the air mass, likewise from the airspeed
 
 
 class Aids(Record):
@@ -120,8 +134,10 @@ class Stretch(Record):
 
 FLYING, MOVING = 8.0, 5.0  # m/s: above, an airspeed is not wind on the ground, a speed not noise of the receiver
 INCIDENCE = 0.05  # rad, of an aeroplane in cruise
+_AHEAD, _BELOW = math.cos(INCIDENCE), math.sin(INCIDENCE)
 ALIGNING, STILL, COARSE = range(3)
-STRETCH = Stretch.dtype
+NOTHING, FLIGHT, FIXES = range(3)  # known of the motion: an airspeed, or GNSS velocities
+STRETCH, ALIGNMENT = Stretch.dtype, Alignment.dtype
 
 
 @inner
@@ -151,6 +167,21 @@ def _forget(aids: Aids) -> None:
     aids.speed0 = aids.speed0_t = aids.speed1 = aids.speed1_t = aids.vel0_t = aids.vel1_t = math.nan
     for i in range(3):
         aids.vel0_n[i] = aids.vel1_n[i] = aids.lla[i] = math.nan
+
+
+@inner
+def begin(s: Stretch) -> None:
+    """Forget the stretch, as `Stretch.make` makes it."""
+    s.began_t = s.stretch_t = s.second_t = s.last_t = math.nan
+    s.was_still = s.cut_short = False
+    s.phase = ALIGNING
+    _clear(s.stretch)
+    _clear(s.second)
+    _clear(s.kept)
+    _forget(s.aids)
+    s.kept_s = 0.0
+    s.turned[0] = 1.0
+    s.turned[1] = s.turned[2] = s.turned[3] = 0.0
 
 
 @inner
@@ -250,42 +281,216 @@ def _end_second(
     return False
 
 
-@entry("ppifffff", int)
-def align(  # type: ignore[empty-body]
-    stretch: Stretch, rows: np.ndarray, count: int, align_s: float, wait_s: float, gyro_limit: float,
-    accel_limit: float, gravity: float,
-) -> int:  # fmt: skip
-    """Take samples (records) until aligned; returns how many were taken, `stretch.phase` says what for."""
+@inner
+def take(
+    s: Stretch, row: Sample, align_s: float, wait_s: float, gyro_limit: float, accel_limit: float, gravity: float
+) -> bool:  # fmt: skip
+    """Take a sample; true, and the sample not taken, when the alignment is over before it: `phase` says how."""
+    t = row.t
+    if math.isnan(s.began_t):
+        s.began_t = s.stretch_t = s.second_t = t
+        s.was_still = s.cut_short = False
+    elif t <= s.last_t:
+        return False
+    dt = t - s.last_t
+    s.last_t = t
+    if t - s.second_t >= 1.0 and _end_second(s, t, align_s, wait_s, gyro_limit, accel_limit, gravity):
+        return True
+    _watch(s.aids, row)
+    imu, mag = True, row.mag_new
+    for i in range(3):
+        imu &= plausible(row.gyro_b[i], MAX_RATE) and plausible(row.accel_b[i], MAX_FORCE)
+        mag &= plausible(row.mag_b[i], MAX_FIELD)
+    if imu and s.kept_s > 0.0 and dt < 1.0:
+        turn(s.turned, dt * row.gyro_b[0], dt * row.gyro_b[1], dt * row.gyro_b[2], s.turned)
+    _gather(s.stretch, row, imu, mag)
+    _gather(s.second, row, imu, mag)
+    return False
 
 
-@adapts(align)
-def _align(owner: None, kernel: Kernel) -> Kernel:
-    def body(stretch, rows, count, align_s, wait_s, gyro_limit, accel_limit, gravity):  # type: ignore[no-untyped-def]
-        s = record(stretch, STRETCH)
-        for k in range(count):
-            row = record(rows, SAMPLE, k)
-            t = row.t
-            if math.isnan(s.began_t):
-                s.began_t = s.stretch_t = s.second_t = t
-                s.was_still = s.cut_short = False
-            elif t <= s.last_t:
-                continue
-            dt = t - s.last_t
-            s.last_t = t
-            if t - s.second_t >= 1.0 and _end_second(s, t, align_s, wait_s, gyro_limit, accel_limit, gravity):
-                return k
-            _watch(s.aids, row)
-            imu, mag = True, row.mag_new
-            for i in range(3):
-                imu &= plausible(row.gyro_b[i], MAX_RATE) and plausible(row.accel_b[i], MAX_FORCE)
-                mag &= plausible(row.mag_b[i], MAX_FIELD)
-            if imu and s.kept_s > 0.0 and dt < 1.0:
-                turn(s.turned, dt * row.gyro_b[0], dt * row.gyro_b[1], dt * row.gyro_b[2], s.turned)
-            _gather(s.stretch, row, imu, mag)
-            _gather(s.second, row, imu, mag)
-        return count
+def limits(sensors: SensorInfo | Sheet) -> tuple[float, float]:
+    """Scatter (rad/s, m/s2) up to which a second counts as still, for sensors of this noise."""
+    gyro = sensors.gyro_noise * math.sqrt(sensors.rate / 2)
+    accel = sensors.accel_noise * math.sqrt(sensors.rate / 2)
+    return max(GYRO_SCATTER, 2 * gyro), max(ACCEL_SCATTER, 2 * accel)
 
-    return body
+
+still_limits = inner(limits)
+
+
+@inner
+def _motion(s: Stretch, still: bool, rate: np.ndarray, force: np.ndarray, gravity: float, expected: np.ndarray) -> int:
+    """Take what is known of the motion off the force of the last second, or add it to the `expected` one; which."""
+    a = s.aids
+    expected[0] = expected[1] = 0.0
+    expected[2] = -gravity
+    if still:
+        return NOTHING
+    if a.speed1 > FLYING:  # a coordinated flight: w x v + dv/dt
+        ahead, down = a.speed1 * _AHEAD, a.speed1 * _BELOW
+        span = a.speed1_t - a.speed0_t
+        force[0] = force[0] - rate[1] * down - ((a.speed1 - a.speed0) / span if span > 0.3 else 0.0)
+        force[1] = force[1] - (rate[2] * ahead - rate[0] * down)
+        force[2] = force[2] + rate[1] * ahead
+        return FLIGHT
+    if a.vel1_t - a.vel0_t > 0.3:  # f_n = dv_n/dt - g
+        for i in range(3):
+            expected[i] += (a.vel1_n[i] - a.vel0_n[i]) / (a.vel1_t - a.vel0_t)
+        return FIXES
+    return NOTHING
+
+
+@inner
+def _covariance(m: Moments, sensor: int, n: float, out: np.ndarray) -> None:
+    """Covariance of single samples of a sensor; NaN of less than two."""
+    first = 3 * sensor
+    for i in range(3):
+        for j in range(3):
+            both = m.spread[first + i, j] + m.spread[first + j, i]
+            out[i, j] = both / (2.0 * (n - 1.0)) if n > 1.0 else math.nan
+
+
+@inner
+def _attitude(s: Stretch, m: Moments, still: bool, site: Place, out: Alignment) -> tuple[int, bool]:
+    """Attitude from force and field, or level from the force alone; what motion was known, and whether a heading is."""
+    force, expected, field = local(3), local(3), local(3)
+    for i in range(3):
+        force[i], field[i] = m.mean[3 + i], m.mean[6 + i]
+    known = _motion(s, still, m.mean, force, site.gravity, expected)
+    q = out.q_nb
+    q[0] = 1.0
+    q[1] = q[2] = q[3] = 0.0
+    has_heading = m.fields > 0.0 and _two_vectors(force, field, expected, site.mag_n, q)
+    x, y, z = force[0], force[1], force[2]
+    if not has_heading and math.sqrt(x * x + y * y + z * z) > 0.0:
+        from_euler(math.atan2(-y, -z), math.atan2(x, math.hypot(y, z)), 0.0, q)
+    return known, has_heading
+
+
+@inner
+def conclude(s: Stretch, still: bool, site: Place, sensors: Sheet, out: Alignment) -> None:
+    """Conclude the alignment from what was taken: the whole stretch when still, else the last second."""
+    cut = still and s.cut_short
+    m = s.kept if cut else s.stretch if still else s.second
+    known, has_heading = _attitude(s, m, still, site, out)
+    aided = known == FLIGHT or (known == FIXES and has_heading)
+    q, rate = out.q_nb, m.mean
+    if aided:  # the means are those of the middle of the second: on to its end
+        half = 0.5 * (s.last_t - s.second_t)
+        turn(q, half * rate[0], half * rate[1], half * rate[2], q)
+    if cut:  # on to where the gyro has turned it since, less the bias for as long
+        at_rest, since = local(4), s.last_t - s.stretch_t - s.kept_s
+        for i in range(4):
+            at_rest[i] = q[i]
+        multiply(at_rest, s.turned, q)
+        turn(q, -since * rate[0], -since * rate[1], -since * rate[2], q)
+    # velocity and place, where an aid says them: a filter that starts in motion needs them
+    a = s.aids
+    moving = not still and math.isfinite(a.vel1_t)
+    placed = moving and on_earth(a.lla[0], a.lla[1], a.lla[2])
+    for i in range(3):
+        out.vel_n[i] = a.vel1_n[i] if moving else math.nan
+        out.lla[i] = a.lla[i] if placed else math.nan
+        out.air_n[i] = math.nan
+    if known == FLIGHT and has_heading:
+        to_nav(q, a.speed1 * _AHEAD, 0.0, a.speed1 * _BELOW, out.air_n)
+    out.still = still
+    _sigmas(still, aided, has_heading, m, site, sensors, out)
+    if cut:  # a slow turn or a steady push may have passed for standing
+        for i in range(3):
+            slow = SHORT_TILT / s.kept_s * (_dip_factor(site) if i == 2 else 1.0)
+            out.sigma_n[i] = math.hypot(out.sigma_n[i], slow)
+            out.gyro_bias_sigma[i] = math.hypot(out.gyro_bias_sigma[i], SHORT_RATE / s.kept_s)
+    _covariance(m, 0, m.samples, out.gyro_cov)
+    _covariance(m, 1, m.samples, out.accel_cov)
+    _covariance(m, 2, m.fields, out.mag_cov)
+
+
+@inner
+def _sigmas(
+    still: bool, aided: bool, has_heading: bool, m: Moments, site: Place, sensors: Sheet, out: Alignment
+) -> None:  # fmt: skip
+    """Gyro bias, and sigmas of it and of the attitude: from the data sheet, or coarse."""
+    tilt = AIDED_TILT if aided else COARSE_TILT
+    heading = AIDED_HEADING if aided else COARSE_HEADING
+    sigma = max(sensors.gyro_bias, 1e-4)
+    if still:  # biases of the accelerometer tilt it, those of the field and the tilt turn it
+        horizontal = math.hypot(site.mag_n[0], site.mag_n[1])
+        tilt = math.hypot(math.hypot(sensors.accel_bias / site.gravity, sensors.accel_scale), 1e-3)
+        heading = math.hypot(math.hypot(sensors.mag_bias / horizontal, tilt * site.mag_n[2] / horizontal), 5e-3)
+        per_sample = sensors.gyro_noise * math.sqrt(sensors.rate / 2)
+        # the mean rate has the Earth's in it
+        sigma = math.hypot(math.hypot(per_sample / math.sqrt(m.samples), sensors.gyro_instability), 7.3e-5)
+    out.sigma_n[0] = out.sigma_n[1] = tilt
+    out.sigma_n[2] = heading if has_heading else NO_HEADING
+    for i in range(3):
+        out.gyro_bias[i] = m.mean[i] if still else 0.0
+        out.gyro_bias_sigma[i] = sigma
+
+
+@inner
+def _dip_factor(site: Place) -> float:
+    """Error of heading by that of the vertical it is levelled with."""
+    slope: float = abs(site.mag_n[2]) / max(math.hypot(site.mag_n[0], site.mag_n[1]), 1e-7)
+    return slope
+
+
+@inner
+def _two_vectors(
+    force_b: np.ndarray, field_b: np.ndarray, force_n: np.ndarray, mag_n: np.ndarray, q_nb: np.ndarray
+) -> bool:
+    """`q_nb` (4,) from specific force, exactly, and field; False, and `q_nb` as it was, when they do not tell.
+
+    TRIAD in axes whose down is -force_n, reached from NED by the shortest rotation.
+    """
+    norm = math.sqrt(force_n[0] ** 2 + force_n[1] ** 2 + force_n[2] ** 2)
+    q, down_b, mag, q_of_these = local(4), local(3), local(3), local(4)
+    q[0], q[1], q[2], q[3] = 1.0 - force_n[2] / norm, force_n[1] / norm, -force_n[0] / norm, 0.0  # (0, 0, 1) to down
+    norm = math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2)
+    for i in range(3):
+        q[i] /= norm
+        down_b[i] = -force_b[i]
+    to_body(q, mag_n[0], mag_n[1], mag_n[2], mag)
+    if not triad(down_b, field_b, mag, q_of_these):
+        return False
+    multiply(q, q_of_these, q_nb)
+    return True
+
+
+@inner
+def turned_sigmas(alignment: Alignment, scale: float, out: np.ndarray) -> None:
+    """Set `out[:3, :3]` to the covariance `scale C_bn s^2 C_nb` in body axes that belongs to `sigma_n`."""
+    C, s = local(3, 3), alignment.sigma_n
+    attitude_matrix(alignment.q_nb, C)
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for k in range(3):
+                total += C[i, k] * (s[k] * s[k]) * C[j, k]
+            out[i, j] = scale * total
+
+
+@inner
+def attitude_block(alignment: Alignment, out: np.ndarray) -> None:
+    """Set `out[:4, :4]` to the covariance of the elements of q_nb for `sigma_n`: `1/4 X C_bn s^2 C_nb X^T`."""
+    a, b, c, d = alignment.q_nb[0], alignment.q_nb[1], alignment.q_nb[2], alignment.q_nb[3]
+    C, T, s = local(3, 3), local(4, 3), alignment.sigma_n
+    attitude_matrix(alignment.q_nb, C)
+    for j in range(3):
+        x, y, z = C[0, j], C[1, j], C[2, j]
+        T[0, j] = -b * x + -c * y + -d * z
+        T[1, j] = a * x + -d * y + c * z
+        T[2, j] = d * x + a * y + -b * z
+        T[3, j] = -c * x + b * y + a * z
+    for i in range(4):
+        for k in range(4):
+            total = 0.0
+            for j in range(3):
+                total += T[i, j] * (s[j] * s[j]) * T[k, j]
+            out[i, k] = 0.25 * total
+
+
+# For estimators whose loop is their own
 
 
 def pieces(t: np.ndarray, last: float) -> Iterator[tuple[int, int, bool]]:
@@ -301,138 +506,43 @@ def pieces(t: np.ndarray, last: float) -> Iterator[tuple[int, int, bool]]:
         yield first, end, first in cuts
 
 
-def limits(sensors: SensorInfo) -> tuple[float, float]:
-    """Scatter (rad/s, m/s2) up to which a second counts as still, for sensors of this noise."""
-    gyro = sensors.gyro_noise * math.sqrt(sensors.rate / 2)
-    accel = sensors.accel_noise * math.sqrt(sensors.rate / 2)
-    return max(GYRO_SCATTER, 2 * gyro), max(ACCEL_SCATTER, 2 * accel)
+@entry("ppifffff", int)
+def align(  # type: ignore[empty-body]
+    stretch: Stretch, rows: np.ndarray, count: int, align_s: float, wait_s: float, gyro_limit: float,
+    accel_limit: float, gravity: float,
+) -> int:  # fmt: skip
+    """Take samples (records) until aligned; returns how many were taken, `stretch.phase` says what for."""
 
 
-@dataclass(frozen=True)
-class _Motion:
-    """What is known of the motion in the last second of a start in motion; nothing when still."""
+@adapts(align)
+def _align(owner: None, kernel: Kernel) -> Kernel:
+    def body(stretch, rows, count, align_s, wait_s, gyro_limit, accel_limit, gravity):  # type: ignore[no-untyped-def]
+        s = record(stretch, STRETCH)
+        for k in range(count):
+            if take(s, record(rows, SAMPLE, k), align_s, wait_s, gyro_limit, accel_limit, gravity):
+                return k
+        return count
 
-    force_b: np.ndarray  # (3,) m/s2, specific force less what the known motion adds to gravity's
-    force_n: np.ndarray  # (3,) m/s2, what this is in navigation axes
-    air_b: np.ndarray  # (3,) m/s, velocity in the air mass
-    flying: bool  # with an airspeed
-    fixes: bool  # with GNSS velocities
-
-
-def _motion(s: Stretch, still: bool, rate: np.ndarray, force: np.ndarray, gravity: float) -> _Motion:
-    a: Any = s.aids
-    flying = not still and a.speed1 > FLYING
-    fixes = not still and not flying and a.vel1_t - a.vel0_t > 0.3
-    force_n = np.array([0.0, 0.0, -gravity])
-    air_b = a.speed1 * np.array([math.cos(INCIDENCE), 0.0, math.sin(INCIDENCE)]) if flying else np.zeros(3)
-    if flying:  # a coordinated flight: w x v + dv/dt
-        span = a.speed1_t - a.speed0_t
-        force = force - np.cross(rate, air_b) - [(a.speed1 - a.speed0) / span if span > 0.3 else 0.0, 0.0, 0.0]
-    elif fixes:  # f_n = dv_n/dt - g
-        force_n = force_n + (a.vel1_n - a.vel0_n) / (a.vel1_t - a.vel0_t)
-    return _Motion(force, force_n, air_b, flying, fixes)
+    return body
 
 
-def conclude(s: Stretch, still: bool, site: Site, sensors: SensorInfo) -> Alignment:
-    """Conclude the alignment from what `align` has gathered: the whole stretch when still, else the last second."""
-    cut = still and bool(s.cut_short)
-    seen: Any = s.kept if cut else s.stretch if still else s.second
-    aids: Any = s.aids
-    rate, force, field = seen.mean[0:3], seen.mean[3:6], seen.mean[6:9]
-    mag_n = np.array(site.mag_n, float)
-    q_nb, nothing = np.array([1.0, 0.0, 0.0, 0.0]), np.full(3, np.nan)
-    # attitude from force and field, or level from the force alone
-    motion = _motion(s, still, rate, force, site.gravity)
-    force = motion.force_b
-    has_heading = seen.fields > 0 and _two_vectors(force, field, motion.force_n, mag_n, q_nb)
-    if not has_heading and np.linalg.norm(force) > 0.0:
-        from_euler(math.atan2(-force[1], -force[2]), math.atan2(force[0], math.hypot(force[1], force[2])), 0.0, q_nb)
-    aided = motion.flying or (motion.fixes and has_heading)
-    if aided:  # the means are those of the middle of the second: on to its end
-        middle = q_nb.copy()
-        half = 0.5 * (s.last_t - s.second_t)
-        turn(middle, half * rate[0], half * rate[1], half * rate[2], q_nb)
-    if cut:  # on to where the gyro has turned it since, less the bias for as long
-        at_rest, since = q_nb.copy(), s.last_t - s.stretch_t - s.kept_s
-        multiply(at_rest, s.turned, q_nb)
-        turn(q_nb.copy(), *(-since * rate), q_nb)
-    # velocity and place, where an aid says them: a filter that starts in motion needs them
-    air_n = nothing.copy()
-    if motion.flying and has_heading:
-        to_nav(q_nb, *motion.air_b, air_n)
-    moving = not still and math.isfinite(aids.vel1_t)
-    placed = moving and on_earth(*aids.lla)
-    sigma_n, bias, bias_sigma = _sigmas(still, aided, has_heading, seen, site, sensors)
-    if cut:  # a slow turn or a steady push may have passed for standing
-        sigma_n = np.hypot(sigma_n, SHORT_TILT / s.kept_s * np.array([1.0, 1.0, _dip_factor(site)]))
-        bias_sigma = np.hypot(bias_sigma, SHORT_RATE / s.kept_s)
-
-    def covariance(sensor: int, n: float) -> np.ndarray:
-        block = seen.spread[3 * sensor : 3 * sensor + 3]
-        return (block + block.T) / (2 * (n - 1)) if n > 1 else np.full((3, 3), np.nan)
-
-    return Alignment(
-        still=still,
-        q_nb=q_nb,
-        sigma_n=sigma_n,
-        gyro_bias=bias,
-        gyro_bias_sigma=bias_sigma,
-        gyro_cov=covariance(0, seen.samples),
-        accel_cov=covariance(1, seen.samples),
-        mag_cov=covariance(2, seen.fields),
-        vel_n=aids.vel1_n.copy() if moving else nothing,
-        lla=aids.lla.copy() if placed else nothing,
-        air_n=air_n,
-    )
+@entry("pippp")
+def _concluded(stretch: Stretch, still: int, site: Place, sensors: Sheet, out: Alignment) -> None:
+    """See `conclude`."""
 
 
-def _sigmas(
-    still: bool, aided: bool, has_heading: bool, seen: Any, site: Site, sensors: SensorInfo
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sigmas of the attitude (3,) rad; gyro bias (3,) rad/s and its sigmas: from the data sheet, or coarse."""
-    if still:  # biases of the accelerometer tilt it, those of the field and the tilt turn it
-        horizontal = math.hypot(site.mag_n[0], site.mag_n[1])
-        tilt = math.hypot(sensors.accel_bias / site.gravity, sensors.accel_scale, 1e-3)
-        heading = math.hypot(sensors.mag_bias / horizontal, tilt * site.mag_n[2] / horizontal, 5e-3)
-        per_sample = sensors.gyro_noise * math.sqrt(sensors.rate / 2)
-        bias = seen.mean[0:3].copy()
-        # the mean rate has the Earth's in it
-        sigma = math.hypot(per_sample / math.sqrt(seen.samples), sensors.gyro_instability, 7.3e-5)
-    else:
-        tilt, heading = (AIDED_TILT, AIDED_HEADING) if aided else (COARSE_TILT, COARSE_HEADING)
-        bias, sigma = np.zeros(3), max(sensors.gyro_bias, 1e-4)
-    return np.array([tilt, tilt, heading if has_heading else NO_HEADING]), bias, np.full(3, sigma)
+@adapts(_concluded)
+def _adapt_concluded(owner: None, kernel: Kernel) -> Kernel:
+    def body(stretch, still, site, sensors, out):  # type: ignore[no-untyped-def]
+        a, b, c = record(stretch, STRETCH), record(site, PLACE), record(sensors, SHEET)
+        conclude(a, still != 0, b, c, record(out, ALIGNMENT))
+
+    return body
 
 
-def _dip_factor(site: Site) -> float:
-    """Error of heading by that of the vertical it is levelled with."""
-    return abs(site.mag_n[2]) / max(math.hypot(site.mag_n[0], site.mag_n[1]), 1e-7)
-
-
-def _two_vectors(
-    force_b: np.ndarray, field_b: np.ndarray, force_n: np.ndarray, mag_n: np.ndarray, q_nb: np.ndarray
-) -> bool:
-    """`q_nb` (4,) from specific force, exactly, and field; False, and `q_nb` as it was, when they do not tell.
-
-    TRIAD in axes whose down is -force_n, reached from NED by the shortest rotation.
-    """
-    down = -force_n / np.linalg.norm(force_n)
-    q = np.array([1.0 + down[2], -down[1], down[0], 0.0])  # turns (0, 0, 1) into `down`
-    q /= np.linalg.norm(q)
-    mag, q_of_these = np.empty(3), np.empty(4)
-    to_body(q, mag_n[0], mag_n[1], mag_n[2], mag)
-    if not triad(-force_b, field_b, mag, q_of_these):
-        return False
-    multiply(q, q_of_these, q_nb)
-    return True
-
-
-def attitude_block(alignment: Alignment) -> np.ndarray:
-    """(4, 4) covariance of the elements of q_nb that belongs to `sigma_n`, rank three: `1/4 X C_bn s^2 C_nb X^T`."""
-    a, b, c, d = alignment.q_nb
-    C_bn = np.empty((3, 3))
-    attitude_matrix(alignment.q_nb, C_bn)
-    X = np.array([[-b, -c, -d], [a, -d, c], [d, a, -b], [-c, b, a]])
-    turned = np.einsum("ij,jk->ik", X, C_bn)  # no BLAS, whose last digit depends on the processor
-    block: np.ndarray = 0.25 * np.einsum("ij,j,kj->ik", turned, alignment.sigma_n**2, turned)
-    return block
+def concluded(s: Stretch, still: bool, site: Site, sensors: SensorInfo) -> Alignment:
+    """Conclude the alignment from what `align` has taken: the whole stretch when still, else the last second."""
+    out, place, sheet = Alignment.zeros(), Place.from_site(site), Sheet.from_info(sensors)
+    call = loaded(_concluded, "alignment")
+    call(*passed(s), int(still), *passed(place, sheet, out))
+    return out

@@ -8,19 +8,18 @@ from typing import Any, Protocol
 import numpy as np
 
 from estimators import adaptation
-from estimators.adaptation.base import fresh
-from estimators.alignment import ALIGNING, STILL, Stretch, align, conclude, limits, pieces
+from estimators.alignment import Alignment, Stretch
 from estimators.errors import EstimationError, SampleError
 from estimators.filters.base import Method
 from estimators.filters.work import Carry, Work
-from estimators.latency import to_gyro_time, to_stamp_time
-from estimators.models.base import Bound, Start
-from estimators.native import Record, loaded, passed, same_integers
-from estimators.records import blank_estimates, pack, unpack
-from estimators.run import run, screen
+from estimators.models.base import Bound
+from estimators.native import joined, loaded, passed, same_integers
+from estimators.records import Place, Sheet, blank_estimates, pack, pack_settings, unpack
+from estimators.run import Instance, begin, forget, process
 from estimators.types import MEASUREMENTS, Estimates, Samples, SensorInfo, Site
 
 STATE_VERSION = 2
+_KEPT = ("clock", "u", "z", "used", "trust")
 
 
 class Estimator(Protocol):
@@ -79,38 +78,44 @@ class FilterEstimator:
         sensors: SensorInfo,
     ) -> None:
         self.name, self.settings, self.site, self.sensors = name, dict(settings), site, sensors
-        self._method, self._module = method, model
-        self._policy = adaptation.make(settings, site)
-        self._limits = limits(sensors)
-        self._run, self._align, self._bad = (
-            loaded(run, "run"),
-            loaded(align, "alignment"),
-            loaded(screen, "run"),
-        )
-        self._delays = sensors.gyro_delay, sensors.accel_delay, sensors.mag_delay
-        self._late = any(self._delays)
-        if self._late:
-            self._to_gyro_time, self._to_stamp_time = loaded(to_gyro_time, "latency"), loaded(to_stamp_time, "latency")
-        self._work = Work.zeros()
-        self.reset()
+        self._method, self._module, self._policy = method, model, adaptation.make(settings)
+        self._process, self._forget, self._start = (loaded(entry, "run") for entry in (process, forget, begin))
+        self._stretch, self._carry, self._work = Stretch.make(), Carry.zeros(), Work.zeros()
+        self._model: Bound | None = None
 
     def reset(self) -> None:
         """Forget everything seen: align anew."""
-        self._stretch = Stretch.make()
-        self._model: Bound | None = None
-        self._carry: Any = None
-        if self.settings.get("initialisation") == "paper" and self.settings["noise"] == "practical":
-            self._begin(still=False)  # nothing to learn from the ground
+        if self._model is not None:
+            self._forget(*self._own)
 
     def prepare(self) -> None:
         """Compile, or load from the disk, everything that `process` will need; forgets everything seen."""
-        self._begin(still=False)
+        self._bind()
         self.reset()
+
+    def _bind(self) -> Bound:
+        """Put the parts together, at the first need: a model's kernels may have to be compiled."""
+        if self._model is None:
+            values = self.settings
+            self._model = Bound(self._module, self._module.layout(values), self._method.entries)
+            paper = values.get("initialisation") == "paper" and values["noise"] == "practical"
+            self._parts = {
+                "method": self._method.handle, "policy": self._policy.handle, "model": self._model.handle,
+                "carry": self._carry, "work": self._work, "stretch": self._stretch, "alignment": Alignment.zeros(),
+                "settings": pack_settings(self._module.SETTINGS, values),
+                "rules": pack_settings(adaptation.settings(), values),
+                "site": Place.from_site(self.site), "sensors": Sheet.from_info(self.sensors),
+            }  # fmt: skip
+            numbers = {"align_s": values["align_s"], "wait_s": values["wait_s"], "from_paper": int(paper), "begun": 0}
+            self._instance = joined(Instance, self._parts, numbers)
+            self._own = passed(self._instance)
+            self._forget(*self._own)
+        return self._model
 
     @property
     def parameters(self) -> Any:
         """The model's record `Parameters`; None before the alignment is over."""
-        return None if self._model is None else self._model.parameters
+        return None if self._model is None or not self._instance.begun else self._model.parameters
 
     @property
     def measurements(self) -> dict[str, slice]:
@@ -124,55 +129,18 @@ class FilterEstimator:
             SampleError: a column of a wrong shape or type, a time stamp that is not finite or more than a second back.
                 Nothing of the block has been used then.
         """
+        self._bind()
         rows = pack(samples)
-        n = len(rows)
-        if self._late:
-            self._to_gyro_time(*passed(rows), n, *self._delays)
-        self._check_stamps(rows)
-        out = blank_estimates(n)
-        last = float(self._stretch.last_t if self._carry is None else self._carry.clock)
-        for first, end, anew in pieces(rows["t"], last):
-            if anew:
-                self.reset()
-            self._process(rows[first:end], out[first:end])
-        return unpack(out)
-
-    def _process(self, rows: np.ndarray, out: np.ndarray) -> None:
-        """Estimate rows without a long gap into estimates."""
-        n, done = len(rows), 0
-        if self._carry is None:
-            settings = self.settings
-            limits_ = settings["align_s"], settings["wait_s"], *self._limits, self.site.gravity
-            done = self._align(*passed(self._stretch, rows), n, *limits_)
-            out["t"][:done] = rows["t"][:done]
-            if self._stretch.phase != ALIGNING:
-                self._begin(still=self._stretch.phase == STILL)
-        if done < n:
-            self._estimate(rows, out, done)
-            if self._late:
-                self._to_stamp_time(*passed(rows, out), done, n, *self._delays[:2], self.site.gravity)
-
-    def _check_stamps(self, rows: np.ndarray) -> None:
-        last = float(self._stretch.last_t if self._carry is None else self._carry.clock)
-        bad = self._bad(*passed(rows), len(rows), last)
+        out = blank_estimates(len(rows))
+        last = self._last_t()
+        bad = self._process(*self._own, *passed(rows), len(rows), *passed(out))
         if bad >= 0:
             t = rows["t"]
-            before = t[bad - 1] if bad else last
-            raise SampleError(f"{self.name}: time stamp {t[bad]} s in row {bad} after {before} s")
+            raise SampleError(f"{self.name}: time stamp {t[bad]} s in row {bad} after {t[bad - 1] if bad else last} s")
+        return unpack(out)
 
-    def _estimate(self, rows: np.ndarray, out: np.ndarray, first: int) -> None:
-        self._run(*self._fixed, *passed(rows, out), first, len(rows))
-
-    def _begin(self, still: bool) -> None:
-        alignment = conclude(self._stretch, still, self.site, self.sensors)
-        start = self._module.build(self.settings, self.site, self.sensors, alignment)
-        self._model = self._bind(start)
-        self._carry = Carry.zeros()
-        self._carry.clock, self._carry.trust[:] = np.nan, fresh()
-        self._fill(start.x, self._method.stored(start.P), self._method.stored(start.P_restart))
-
-    def _bind(self, start: Start) -> Bound:
-        return Bound(self._module, start, self._method.entries)
+    def _last_t(self) -> float:
+        return float(self._carry.clock if self._instance.begun else self._stretch.last_t)
 
     def state(self) -> dict[str, Any]:
         """Copy everything that goes on from block to block.
@@ -182,12 +150,13 @@ class FilterEstimator:
         them, the records `parameters` and `memory` of the model, ...
         """
         kept: dict[str, Any] | None = None
-        if self._model is not None:
-            n, raw = self._model.size, self._model.raw
-            kept = {name: np.array(self._carry.data[name]) for name in ("clock", "u", "z", "used", "trust")}
+        model = self._bind()
+        if self._instance.begun:
+            n, raw = model.size, model.raw
+            kept = {name: np.array(self._carry.data[name]) for name in _KEPT}
             kept |= {"x": self._carry.x[:raw].copy()}
             kept |= {name: self._carry.data[name][:n, :n].copy() for name in ("P", "P_restart")}
-            kept |= {"parameters": self._model.parameters.data.copy(), "memory": self._model.memory.data.copy()}
+            kept |= {"parameters": model.parameters.data.copy(), "memory": model.memory.data.copy()}
         return {
             "name": self.name, "version": STATE_VERSION, "settings": self._fingerprint(),
             "stretch": self._stretch.data.copy(), "filter": kept,
@@ -208,24 +177,28 @@ class FilterEstimator:
                 raise EstimationError(
                     f"{self.name}: cannot go on from a state whose {key} is '{state.get(key)}', not '{own}'"
                 )
-        blank, kept = Stretch.make(), state.get("filter")
-        stretch = Stretch(self._taken(state, "stretch", blank.data))
-        if kept is None:
-            self._stretch, self._model, self._carry = stretch, None, None
-            return
-        alignment = conclude(blank, False, self.site, self.sensors)  # any: the shapes are what counts
-        start = self._module.build(self.settings, self.site, self.sensors, alignment)
-        parameters = self._taken(kept, "parameters", start.parameters.data)
-        if not same_integers(parameters, start.parameters.data):
+        model, kept = self._bind(), state.get("filter")
+        stretch = self._taken(state, "stretch", self._stretch.data)
+        if kept is not None:
+            n, carry = model.size, self._carry
+            like = {"parameters": model.parameters.data, "memory": model.memory.data}
+            like |= {"x": carry.x[: model.raw], "P": carry.P[:n, :n], "P_restart": carry.P_restart[:n, :n]}
+            like |= {name: carry.data[name] for name in _KEPT}
+            made = {name: self._taken(kept, name, array) for name, array in like.items()}
+            self._check_parameters(made["parameters"])
+            self._start(*self._own)
+            for name, array in made.items():
+                like[name][...] = array
+        self._stretch.data[...] = stretch
+        self._instance.begun = int(kept is not None)
+
+    def _check_parameters(self, parameters: np.ndarray) -> None:
+        """Compare the integers of a state's parameters, sizes of arrays among them, with those of the settings."""
+        other = FilterEstimator(self.name, self._method, self._module, self.settings, self.site, self.sensors)
+        model = other._bind()
+        other._start(*other._own)
+        if not same_integers(parameters, model.parameters.data):
             raise EstimationError(f"{self.name}: the state's parameters are not those of its settings")
-        made = {name: self._taken(kept, name, getattr(start, name)) for name in ("x", "P", "P_restart")}
-        carry = Carry.zeros()
-        for name in ("clock", "u", "z", "used", "trust"):
-            carry.data[name] = self._taken(kept, name, carry.data[name])
-        memory = self._taken(kept, "memory", start.memory.data)
-        start = start._replace(parameters=Record(parameters), memory=Record(memory), **made)
-        self._stretch, self._model, self._carry = stretch, self._bind(start), carry
-        self._fill(start.x, start.P, start.P_restart)
 
     def _taken(self, state: Any, name: str, like: np.ndarray) -> np.ndarray:
         """A copy of an array of a state, of the shape and type of `like`."""
@@ -234,12 +207,3 @@ class FilterEstimator:
             found = _kind(value) if isinstance(value, np.ndarray) else type(value).__name__
             raise EstimationError(f"{self.name}: the state's {name} is {found}, expected {_kind(like)}")
         return np.array(value, order="C")
-
-    def _fill(self, x: np.ndarray, P: np.ndarray, P_restart: np.ndarray) -> None:
-        assert self._model is not None
-        n = len(P)
-        self._fixed = passed(
-            self._method.handle, self._policy.handle, self._model.handle, self._carry, self._work
-        )  # they stay where they are
-        self._carry.x[: len(x)] = x
-        self._carry.P[:n, :n], self._carry.P_restart[:n, :n] = P, P_restart

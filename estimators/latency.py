@@ -17,8 +17,8 @@ import numpy as np
 
 from estimators.earth import move
 from estimators.jit import inner
-from estimators.native import Kernel, adapts, entry, local, record
-from estimators.records import ESTIMATE, SAMPLE, Estimate, Sample
+from estimators.native import local
+from estimators.records import Estimate, Sample, Sheet
 from estimators.rotations import to_nav, turn
 
 _FASTEST = 30.0  # rad/s: beyond, it is no rate
@@ -52,53 +52,39 @@ def _move(row: Sample, answer: Estimate, delay: float, gravity: float) -> None:
         v[i] += delay * a[i]
 
 
-@entry("pifff")
-def to_gyro_time(rows: np.ndarray, count: int, gyro_delay: float, accel_delay: float, mag_delay: float) -> None:
-    """Turn accelerometer and magnetometer of samples to where the body was when the gyro was read; in place."""
+@inner
+def is_late(sensors: Sheet) -> bool:
+    """Whether any value is old when it is stamped."""
+    return sensors.gyro_delay != 0.0 or sensors.accel_delay != 0.0 or sensors.mag_delay != 0.0  # type: ignore[no-any-return]
 
 
-@adapts(to_gyro_time)
-def _to_gyro_time(owner: None, kernel: Kernel) -> Kernel:
-    def body(rows, count, gyro_delay, accel_delay, mag_delay):  # type: ignore[no-untyped-def]
-        for k in range(count):
-            row = record(rows, SAMPLE, k)
-            x, y, z = row.gyro_b[0], row.gyro_b[1], row.gyro_b[2]
-            row.gnss_t += accel_delay
-            row.heading_t += gyro_delay
-            if math.isfinite(x * y * z) and abs(x) + abs(y) + abs(z) < _FASTEST:
-                tau = accel_delay - gyro_delay
-                _turn_vector(row.accel_b, tau * x, tau * y, tau * z)
-                tau = mag_delay - gyro_delay
-                _turn_vector(row.mag_b, tau * x, tau * y, tau * z)
-
-    return body
+@inner
+def to_gyro_time(row: Sample, sensors: Sheet) -> None:
+    """Turn accelerometer and magnetometer of a sample to where the body was when the gyro was read; in place."""
+    x, y, z = row.gyro_b[0], row.gyro_b[1], row.gyro_b[2]
+    row.gnss_t += sensors.accel_delay
+    row.heading_t += sensors.gyro_delay
+    if math.isfinite(x * y * z) and abs(x) + abs(y) + abs(z) < _FASTEST:
+        tau = sensors.accel_delay - sensors.gyro_delay
+        _turn_vector(row.accel_b, tau * x, tau * y, tau * z)
+        tau = sensors.mag_delay - sensors.gyro_delay
+        _turn_vector(row.mag_b, tau * x, tau * y, tau * z)
 
 
-@entry("ppiifff")
-def to_stamp_time(
-    rows: np.ndarray, out: np.ndarray, first: int, count: int, gyro_delay: float, accel_delay: float, gravity: float
-) -> None:
-    """Turn and move estimates `first` to `count` - 1 on to the time of the stamp; in place."""
-
-
-@adapts(to_stamp_time)
-def _to_stamp_time(owner: None, kernel: Kernel) -> Kernel:
-    def body(rows, out, first, count, gyro_delay, accel_delay, gravity):  # type: ignore[no-untyped-def]
+@inner
+def to_stamp_time(row: Sample, answer: Estimate, sensors: Sheet, gravity: float) -> None:
+    """Turn and move an estimate on to the time of the stamp of its sample; in place."""
+    _move(row, answer, sensors.accel_delay, gravity)
+    rate, bias, delay = row.gyro_b, answer.gyro_bias, sensors.gyro_delay
+    x = rate[0] - bias[0] if math.isfinite(bias[0]) else rate[0]
+    y = rate[1] - bias[1] if math.isfinite(bias[1]) else rate[1]
+    z = rate[2] - bias[2] if math.isfinite(bias[2]) else rate[2]
+    if not (math.isfinite(x * y * z) and abs(x) + abs(y) + abs(z) < _FASTEST):
+        return
+    x, y, z = delay * x, delay * y, delay * z
+    _turn_vector(answer.down_b, x, y, z)
+    if math.isfinite(answer.q_nb[0]):
         q = local(4)
-        for k in range(first, count):
-            answer = record(out, ESTIMATE, k)
-            _move(record(rows, SAMPLE, k), answer, accel_delay, gravity)
-            rate, bias = record(rows, SAMPLE, k).gyro_b, answer.gyro_bias
-            x = rate[0] - bias[0] if math.isfinite(bias[0]) else rate[0]
-            y = rate[1] - bias[1] if math.isfinite(bias[1]) else rate[1]
-            z = rate[2] - bias[2] if math.isfinite(bias[2]) else rate[2]
-            if not (math.isfinite(x * y * z) and abs(x) + abs(y) + abs(z) < _FASTEST):
-                continue
-            x, y, z = gyro_delay * x, gyro_delay * y, gyro_delay * z
-            _turn_vector(answer.down_b, x, y, z)
-            if math.isfinite(answer.q_nb[0]):
-                for i in range(4):
-                    q[i] = answer.q_nb[i]
-                turn(q, x, y, z, answer.q_nb)
-
-    return body
+        for i in range(4):
+            q[i] = answer.q_nb[i]
+        turn(q, x, y, z, answer.q_nb)

@@ -212,7 +212,9 @@ def matrix(pointer: Any) -> np.ndarray:
 
 
 def flags(pointer: Any) -> np.ndarray:
-    """The vector of flags (0 or 1) at `pointer`."""
+    """The vector of flags (0 or 1) at `pointer`; or the bytes of a record."""
+    if isinstance(pointer, Record):
+        pointer = pointer.data.reshape(1).view(np.uint8)
     return pointer  # type: ignore[no-any-return]
 
 
@@ -387,6 +389,13 @@ def loaded(called: Any, key: str) -> Callable[..., Any]:
 def passed(*memory: Any) -> list[Any]:
     """Arrays, records and handles as a `caller` takes them."""
     return [pointer(one) for one in memory] if JIT else list(memory)
+
+
+def joined(kind: type[Record], parts: Mapping[str, Any], numbers: Mapping[str, Any]) -> Any:
+    """A record of the addresses of its parts, which must outlive it, and of numbers."""
+    if not JIT:
+        return Plain(**parts, **numbers)
+    return kind.of(**{name: pointer(part) for name, part in parts.items()}, **numbers)
 
 
 def argument(memory: Any) -> Any:

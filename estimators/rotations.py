@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from estimators.jit import njit
+from estimators.native import local
 
 Quaternion = Any  # an array or a tuple of four
 
@@ -239,7 +240,7 @@ def triad(down_b: np.ndarray, mag_b: np.ndarray, mag_n: np.ndarray, out: np.ndar
     ex, ey, ez = ex / length, ey / length, ez / length  # magnetic east
     cosine, sine = mag_n[0] / north, mag_n[1] / north  # of the declination
     nx, ny, nz = ey * dz - ez * dy, ez * dx - ex * dz, ex * dy - ey * dx  # magnetic north
-    C_bn = np.empty((3, 3))
+    C_bn = local(3, 3)
     C_bn[0, 0], C_bn[0, 1], C_bn[0, 2] = cosine * nx - sine * ex, sine * nx + cosine * ex, dx
     C_bn[1, 0], C_bn[1, 1], C_bn[1, 2] = cosine * ny - sine * ey, sine * ny + cosine * ey, dy
     C_bn[2, 0], C_bn[2, 1], C_bn[2, 2] = cosine * nz - sine * ez, sine * nz + cosine * ez, dz

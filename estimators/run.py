@@ -1,4 +1,4 @@
-"""The estimation loop: row by row through a block, the same for every filter, policy and model.
+"""Everything that an estimator does with a block, row by row: alignment, then the loop, the same for every combination.
 
 Time stamps decide: dt is their difference, never a nominal rate. A row whose stamp repeats or goes back is left out
 (the estimate stays, status COASTING); a gap is bridged by prediction in steps of at most `MAX_STEP`.
@@ -8,19 +8,48 @@ import math
 
 import numpy as np
 
-from estimators.adaptation.base import POLICY, PolicyHandle, admit
-from estimators.filters.base import METHOD, FilterHandle, predict, reported, update
+from estimators import adaptation
+from estimators.adaptation.base import POLICY, PolicyHandle, admit, configure
+from estimators.adaptation.base import begin as begin_trust
+from estimators.alignment import ALIGNMENT, LONGEST_GAP, STILL, STRETCH, conclude, still_limits, take
+from estimators.alignment import begin as begin_stretch
+from estimators.filters.base import METHOD, FilterHandle, predict, reported, store, update
 from estimators.filters.work import CARRY, WORK, Carry, Work
 from estimators.jit import inner
+from estimators.latency import is_late, to_gyro_time, to_stamp_time
 from estimators.linalg import healthy
-from estimators.models.base import HANDLE, Handle, constrain, load, measure, report
-from estimators.native import Kernel, adapts, entry, record
-from estimators.records import ESTIMATE, SAMPLE, Estimate, Sample
+from estimators.models.base import HANDLE, Handle, build, constrain, load, measure, report
+from estimators.native import CAPACITY, Address, Integer, Kernel, Number, Record, adapts, entry, flags, record
+from estimators.records import ESTIMATE, PLACE, SAMPLE, SHEET, Estimate, Sample, Sheet, settings_type
 from estimators.types import MEASUREMENTS, Status
 
 MAX_STEP = 0.5  # s, longest step of one prediction
 MAX_STEPS = 120  # a longer gap than a minute is bridged with longer steps
 BACKWARDS = 1.0  # s: a stamp that goes further back is another recording, not jitter
+
+
+class Instance(Record):
+    """An estimator to the loop: addresses of its parts, and where it is."""
+
+    method: Address
+    policy: Address
+    model: Address
+    carry: Address
+    work: Address
+    stretch: Address
+    alignment: Address
+    settings: Address  # of the model
+    rules: Address  # settings of the policies
+    site: Address
+    sensors: Address
+    align_s: Number  # s
+    wait_s: Number  # s
+    from_paper: Integer  # 1: no alignment
+    begun: Integer  # 0: aligning
+
+
+INSTANCE = Instance.dtype
+RULES = settings_type(adaptation.settings())
 
 _RUNNING, _COASTING, _DIVERGED = int(Status.RUNNING), int(Status.COASTING), int(Status.DIVERGED)
 
@@ -31,30 +60,26 @@ def _blank_zero(v: np.ndarray) -> None:
         v[0] = v[1] = v[2] = math.nan
 
 
-@entry("pif", int)
-def screen(rows: np.ndarray, count: int, last: float) -> int:  # type: ignore[empty-body]
+@inner
+def _screen(rows: np.ndarray, count: int, last: float, sensors: Sheet, late: bool) -> int:
     """Find the first row whose stamp is not finite or jumps back more than `BACKWARDS`; -1 when there is none.
 
-    Zero on all axes of accelerometer or magnetometer is a dead sensor, not a measurement: it becomes NaN.
+    Rows become what the loop takes: zero on all axes of accelerometer or magnetometer is a dead sensor, not a
+    measurement, and becomes NaN; sensors that are late are brought to the gyro's time.
     """
-
-
-@adapts(screen)
-def _screen(owner: None, kernel: Kernel) -> Kernel:
-    def body(rows, count, last):  # type: ignore[no-untyped-def]
-        latest = last
-        for k in range(count):
-            row = record(rows, SAMPLE, k)
-            _blank_zero(row.accel_b)
-            _blank_zero(row.mag_b)
-            t = row.t
-            if not math.isfinite(t) or t < latest - BACKWARDS:
-                return k
-            if not latest >= t:
-                latest = t
-        return -1
-
-    return body
+    latest = last
+    for k in range(count):
+        row = record(rows, SAMPLE, k)
+        if late:
+            to_gyro_time(row, sensors)
+        _blank_zero(row.accel_b)
+        _blank_zero(row.mag_b)
+        t = row.t
+        if not math.isfinite(t) or t < latest - BACKWARDS:
+            return k
+        if not latest >= t:
+            latest = t
+    return -1
 
 
 @inner
@@ -137,20 +162,99 @@ def _step(
     _report(method, model, carry, work, answer)
 
 
-@entry("pppppppii")
-def run(
-    method: FilterHandle, policy: PolicyHandle, model: Handle, carry: Carry, work: Work, rows: np.ndarray,
-    out: np.ndarray, first: int, count: int,
-) -> None:  # fmt: skip
-    """Estimate rows `first` to `count` - 1 of samples (records) into estimates (records)."""
+@inner
+def _begin(own: Instance, still: bool) -> None:
+    """Begin to estimate with what the alignment says."""
+    method, policy, model = record(own.method, METHOD), record(own.policy, POLICY), record(own.model, HANDLE)
+    carry, site, sensors = record(own.carry, CARRY), record(own.site, PLACE), record(own.sensors, SHEET)
+    alignment = record(own.alignment, ALIGNMENT)
+    conclude(record(own.stretch, STRETCH), still, site, sensors, alignment)
+    for i in range(CAPACITY):
+        carry.x[i] = carry.u[i] = carry.z[i] = 0.0
+        carry.used[i] = 0
+        for j in range(CAPACITY):
+            carry.P[i, j] = carry.P_restart[i, j] = 0.0
+    carry.clock = math.nan
+    begin_trust(carry.trust)
+    configure(policy, record(own.rules, RULES), site)
+    build(model, flags(own.settings), site, sensors, alignment, carry.x, carry.P, carry.P_restart)
+    if method.plain == 0:
+        store(method, model, carry.P)
+        store(method, model, carry.P_restart)
+    own.begun = 1
 
 
-@adapts(run)
-def _run(owner: None, kernel: Kernel) -> Kernel:
-    def body(method, policy, model, carry, work, rows, out, first, count):  # type: ignore[no-untyped-def]
-        a, b, c = record(method, METHOD), record(policy, POLICY), record(model, HANDLE)
-        d, e = record(carry, CARRY), record(work, WORK)
-        for k in range(first, count):
-            _step(a, b, c, d, e, record(rows, SAMPLE, k), record(out, ESTIMATE, k))
+@inner
+def _forget(own: Instance) -> None:
+    begin_stretch(record(own.stretch, STRETCH))
+    own.begun = 0
+    if own.from_paper != 0:
+        _begin(own, False)  # nothing to learn from the ground
+
+
+@inner
+def _estimate(own: Instance, row: Sample, answer: Estimate) -> None:
+    """Estimate a row, or align with it."""
+    stretch, carry = record(own.stretch, STRETCH), record(own.carry, CARRY)
+    if row.t - (carry.clock if own.begun != 0 else stretch.last_t) > LONGEST_GAP:
+        _forget(own)
+    site, sensors = record(own.site, PLACE), record(own.sensors, SHEET)
+    if own.begun == 0:
+        gyro, accel = still_limits(sensors)
+        if not take(stretch, row, own.align_s, own.wait_s, gyro, accel, site.gravity):
+            answer.t = row.t
+            return
+        _begin(own, stretch.phase == STILL)
+    method, policy, model = record(own.method, METHOD), record(own.policy, POLICY), record(own.model, HANDLE)
+    _step(method, policy, model, carry, record(own.work, WORK), row, answer)
+    if is_late(sensors):
+        to_stamp_time(row, answer, sensors, site.gravity)
+
+
+@entry("p")
+def forget(own: Instance) -> None:
+    """Forget everything seen: align anew."""
+
+
+@adapts(forget)
+def _adapt_forget(owner: None, kernel: Kernel) -> Kernel:
+    def body(own):  # type: ignore[no-untyped-def]
+        _forget(record(own, INSTANCE))
+
+    return body
+
+
+@entry("p")
+def begin(own: Instance) -> None:
+    """Begin without alignment."""
+
+
+@adapts(begin)
+def _adapt_begin(owner: None, kernel: Kernel) -> Kernel:
+    def body(own):  # type: ignore[no-untyped-def]
+        _begin(record(own, INSTANCE), False)
+
+    return body
+
+
+@entry("ppip", int)
+def process(own: Instance, rows: np.ndarray, count: int, out: np.ndarray) -> int:  # type: ignore[empty-body]
+    """Estimate `count` samples (records) into estimates (records), blank before.
+
+    Returns -1, or the first row whose time stamp is impossible: nothing of the block has been used then.
+    """
+
+
+@adapts(process)
+def _process(owner: None, kernel: Kernel) -> Kernel:
+    def body(own, rows, count, out):  # type: ignore[no-untyped-def]
+        a = record(own, INSTANCE)
+        last = record(a.carry, CARRY).clock if a.begun != 0 else record(a.stretch, STRETCH).last_t
+        sensors = record(a.sensors, SHEET)
+        bad = _screen(rows, count, last, sensors, is_late(sensors))
+        if bad < 0:
+            for k in range(count):
+                _estimate(a, record(rows, SAMPLE, k), record(out, ESTIMATE, k))
+        return bad
 
     return body

@@ -1,26 +1,16 @@
-"""The rows of `ahrs_estimator.h` as NumPy records: the columns of `Samples` and `Estimates` without loss, row by row.
-
-A structure has the numbers of its block in order, then the bytes (masks, status), then padding to eight bytes.
-"""
+"""The structures of `ahrs_estimator.h` as NumPy records: the columns of `Samples` and `Estimates` without loss."""
 
 import dataclasses
 from pathlib import Path
 
 import numpy as np
 
-from estimators.types import Columns, Estimates, Samples, SensorInfo, Site
+from estimators.records import ESTIMATE as ESTIMATE
+from estimators.records import SAMPLE as SAMPLE
+from estimators.types import Estimates, Samples, SensorInfo, Site
 
 HEADER = Path(__file__).parent / "interface" / "ahrs_estimator.h"
 VERSION = 1  # AHRS_INTERFACE_VERSION
-
-
-def _structure(block: type[Columns]) -> np.dtype:
-    numbers: list[tuple[str, type, tuple[int, ...]]] = []
-    flags: list[tuple[str, type, tuple[int, ...]]] = []
-    for f in dataclasses.fields(block):
-        shape, kind = f.metadata["shape"], f.metadata["dtype"]
-        (numbers if kind is float else flags).append((f.name, np.float64 if kind is float else np.uint8, shape))
-    return np.dtype([*numbers, *flags, ("reserved", np.uint8, (-len(flags) % 8,))])
 
 
 SENSORS = (
@@ -29,9 +19,6 @@ SENSORS = (
     "airspeed_scale", "antenna_b",
 )  # fmt: skip
 """The members of `ahrs_sensors`; `SensorInfo` has more, which this version of the interface leaves out."""
-
-SAMPLE = _structure(Samples)
-ESTIMATE = _structure(Estimates)
 
 
 def write_samples(samples: Samples, rows: np.ndarray) -> None:

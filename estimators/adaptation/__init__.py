@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from estimators.settings import Setting
-from estimators.types import Site
 
 if TYPE_CHECKING:
     from estimators.adaptation.base import BoundPolicy
@@ -22,9 +21,9 @@ def settings(default: str = "none", **values: float) -> dict[str, Setting]:
     return known | {name: replace(known[name], default=value) for name, value in values.items()}
 
 
-def make(settings: Mapping[str, Any], site: Site) -> "BoundPolicy":
+def make(settings: Mapping[str, Any]) -> "BoundPolicy":
     """Make the policy that `settings["adaptation"]` names ("none" when it is not there)."""
     from estimators.adaptation.base import BoundPolicy
 
     module = importlib.import_module(f"estimators.adaptation.{_POLICIES[settings.get('adaptation', 'none')]}")
-    return BoundPolicy(module, module.make(settings, site))
+    return BoundPolicy(module)

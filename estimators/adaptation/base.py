@@ -1,10 +1,11 @@
 """What an adaptation policy supplies: how far a measurement is trusted, for any filter on any model.
 
-A policy is a module with records `Parameters` and `Trust`, one or both kernels of `Policy`, SETTINGS and
-`make(settings, site)`. It sees sensors, not physics: a sensor is three consecutive measurements of a group (or what is
+A policy is a module with records `Parameters` and `Trust`, SETTINGS, and the kernels of `Policy`: `configure`, and one
+or both of the others. It sees sensors, not physics: a sensor is three consecutive measurements of a group (or what is
 left of it), sensors are counted through all groups.
 """
 
+import math
 from types import ModuleType
 from typing import Annotated, Any, Protocol
 
@@ -29,7 +30,7 @@ from estimators.native import (
     supplied,
     vector,
 )
-from estimators.records import SAMPLE, Sample
+from estimators.records import PLACE, SAMPLE, Place, Sample, settings_type
 
 SENSORS = 8
 Sensors = Annotated[np.ndarray, shaped(SENSORS)]
@@ -53,6 +54,9 @@ class Policy(Protocol):
     Parameters: type[Record]
     Trust: type[Record]
 
+    def configure(self, settings: Record, site: Place, policy: Record) -> None:
+        """Set the parameters `policy`, all of them, from the settings of all policies and the place."""
+
     def admit(self, policy: Record, model: Handle, row: Sample, x: np.ndarray, trust: Record, used: np.ndarray) -> bool:
         """Refuse measurements of a row before anything is corrected, by clearing `used`; true when one was (COASTING).
 
@@ -73,11 +77,17 @@ class PolicyHandle(Record):
     parameters: Address
     admits: Integer  # 0: it has no `admit`, and the loop need not call it
     weighs: Integer  # 0: no `factor`
+    configure: Address
     admit: Address
     factor: Address
 
 
 POLICY = PolicyHandle.dtype
+
+
+@entry("ppp")
+def configure(policy: PolicyHandle, settings: Record, site: Place) -> None:
+    """See `Policy.configure`."""
 
 
 @entry("pppppp", bool)
@@ -90,6 +100,18 @@ def admit(  # type: ignore[empty-body]
 @entry("piiipp", float)
 def factor(policy: PolicyHandle, sensor: int, first: int, end: int, trust: np.ndarray, work: Work) -> float:  # type: ignore[empty-body]
     """See `Policy.factor`."""
+
+
+@adapts(configure)
+def _configure(m: ModuleType, kernel: Kernel) -> Kernel:
+    from estimators import adaptation
+
+    P, S = m.Parameters.dtype, settings_type(adaptation.settings())
+
+    def body(policy, settings, site):  # type: ignore[no-untyped-def]
+        kernel(record(settings, S), record(site, PLACE), record(record(policy, POLICY).parameters, P))
+
+    return body
 
 
 @adapts(admit)
@@ -155,11 +177,11 @@ def weigh(
 class BoundPolicy:
     """A policy with its parameters: the handle by which the loop knows it."""
 
-    def __init__(self, module: ModuleType, parameters: Any) -> None:
-        """Bind the kernels of a policy, compiled or loaded."""
-        self.parameters = parameters
+    def __init__(self, module: Any) -> None:
+        """Bind the kernels of a policy, compiled or loaded; its parameters are NaN before `configure`."""
+        self.parameters = parameters = module.Parameters.nans()
         fields = {"admits": int(hasattr(module, "admit")), "weighs": int(hasattr(module, "factor"))}
-        for called in (admit, factor):
+        for called in (configure, admit, factor):
             kernel = getattr(module, called.__name__, None)
             fields[called.__name__] = supplied(called, module, kernel, source_key(kernel, "adaptation.plain"))
         if not JIT:
@@ -168,8 +190,8 @@ class BoundPolicy:
             self.handle = PolicyHandle.of(parameters=pointer(parameters), **fields)
 
 
-def fresh() -> np.ndarray:
-    """What a policy that has seen nothing keeps."""
-    trust = np.zeros(TRUST)
-    trust[:SENSORS] = np.nan
-    return trust
+@inner
+def begin(trust: np.ndarray) -> None:
+    """Set what a policy that has seen nothing keeps."""
+    for i in range(TRUST):
+        trust[i] = math.nan if i < SENSORS else 0.0

@@ -10,15 +10,14 @@ The figure with the membership functions is lost: W is the continuous, monotone 
 the other (groups) gives each its own innovation after the other's correction, which tells them apart still better.
 """
 
-from collections.abc import Mapping
 from typing import Any
 
 from estimators.adaptation.base import KEPT, Sensors
 from estimators.filters.work import Work
 from estimators.jit import njit
 from estimators.native import Number, Record
+from estimators.records import Place
 from estimators.settings import Setting
-from estimators.types import Site
 
 SETTINGS = {
     "fuzzy_memory": Setting(0.98, "fuzzy: b, forgetting of the innovations", minimum=0.9, maximum=0.9999),
@@ -75,8 +74,6 @@ def factor(policy: Parameters, sensor: int, first: int, end: int, trust: Trust, 
     return float(share)
 
 
-def make(settings: Mapping[str, Any], site: Site) -> Parameters:
-    """Make the parameters from the settings `fuzzy_*`."""
-    return Parameters.of(
-        memory=settings["fuzzy_memory"], lowest=settings["fuzzy_lowest"], highest=settings["fuzzy_highest"]
-    )
+def configure(settings: Any, site: Place, policy: Parameters) -> None:
+    """Set the parameters from the settings `fuzzy_*`."""
+    policy.memory, policy.lowest, policy.highest = settings.fuzzy_memory, settings.fuzzy_lowest, settings.fuzzy_highest

@@ -8,7 +8,6 @@ the filter may be the one that is wrong.
 """
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,9 +17,8 @@ from estimators.filters.work import Work
 from estimators.jit import njit
 from estimators.models.base import Handle
 from estimators.native import Number, Record
-from estimators.records import Sample
+from estimators.records import Place, Sample
 from estimators.settings import Setting
-from estimators.types import Site
 
 SETTINGS = {
     "gate_sigma": Setting(4.0, "gate: innovations beyond are refused", above=0.0),
@@ -105,6 +103,6 @@ def factor(policy: Parameters, sensor: int, first: int, end: int, trust: Trust, 
     return 0.0 if refused else 1.0
 
 
-def make(settings: Mapping[str, Any], site: Site) -> Parameters:
-    """Make the parameters from the settings `gate_*`."""
-    return Parameters.of(sigma=settings["gate_sigma"], patience=settings["gate_patience"])
+def configure(settings: Any, site: Place, policy: Parameters) -> None:
+    """Set the parameters from the settings `gate_*`."""
+    policy.sigma, policy.patience = settings.gate_sigma, settings.gate_patience

@@ -11,7 +11,6 @@ is the field that says where north is.
 """
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -19,10 +18,9 @@ import numpy as np
 from estimators.adaptation.base import KEPT, Sensors
 from estimators.models.base import Handle
 from estimators.native import Flag, Number, Record, local
-from estimators.records import Sample
+from estimators.records import Place, Sample
 from estimators.rotations import to_nav, wrap
 from estimators.settings import Setting
-from estimators.types import Site
 
 SETTINGS = {
     "magnetic_norm": Setting(0.06, "magnetic: allowed relative error of the field's strength", above=0.0),
@@ -87,17 +85,11 @@ def admit(policy: Parameters, model: Handle, row: Sample, x: np.ndarray, trust: 
     return refused
 
 
-def make(settings: Mapping[str, Any], site: Site) -> Parameters:
-    """Make the parameters from the settings `magnetic_*` and the local field."""
-    north, east, down = site.mag_n
+def configure(settings: Any, site: Place, policy: Parameters) -> None:
+    """Set the parameters from the settings `magnetic_*` and the local field."""
+    north, east, down = site.mag_n[0], site.mag_n[1], site.mag_n[2]
     level = math.hypot(north, east)
-    return Parameters.of(
-        norm=settings["magnetic_norm"],
-        dip=settings["magnetic_dip"],
-        turn=settings["magnetic_turn"],
-        hold=settings["magnetic_hold"],
-        patience=settings["magnetic_patience"],
-        strength=math.hypot(level, down),
-        down=math.atan2(down, level),
-        azimuth=math.atan2(east, north),
-    )
+    policy.norm, policy.dip, policy.turn = settings.magnetic_norm, settings.magnetic_dip, settings.magnetic_turn
+    policy.hold, policy.patience = settings.magnetic_hold, settings.magnetic_patience
+    policy.strength, policy.down = math.hypot(level, down), math.atan2(down, level)
+    policy.azimuth = math.atan2(east, north)

@@ -1,11 +1,10 @@
 """No adaptation: every measurement counts as the model says."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from estimators.adaptation.base import Trust as Trust
 from estimators.native import Number, Record
-from estimators.types import Site
+from estimators.records import Place
 
 
 class Parameters(Record):
@@ -14,6 +13,6 @@ class Parameters(Record):
     nothing: Number
 
 
-def make(settings: Mapping[str, Any], site: Site) -> Parameters:
-    """Make the parameters; no settings."""
-    return Parameters.zeros()
+def configure(settings: Any, site: Place, policy: Parameters) -> None:
+    """Set the parameters; no settings."""
+    policy.nothing = 0.0

@@ -6,7 +6,6 @@ What is falsified is the model's business (`disturbed`): the accelerometer as a 
 """
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,9 +13,8 @@ import numpy as np
 from estimators.adaptation.base import Trust
 from estimators.models.base import Handle
 from estimators.native import Number, Record
-from estimators.records import Sample
+from estimators.records import Place, Sample
 from estimators.settings import Setting
-from estimators.types import Site
 
 SETTINGS = {
     "switch_turn_rate": Setting(math.radians(2.0), "rad/s, switched: turning above it", above=0.0),
@@ -47,6 +45,6 @@ def admit(policy: Parameters, model: Handle, row: Sample, x: np.ndarray, trust: 
     return refused
 
 
-def make(settings: Mapping[str, Any], site: Site) -> Parameters:
-    """Make the parameters from the settings `switch_*`."""
-    return Parameters.of(turn_rate=settings["switch_turn_rate"], accel=settings["switch_accel"], gravity=site.gravity)
+def configure(settings: Any, site: Place, policy: Parameters) -> None:
+    """Set the parameters from the settings `switch_*`."""
+    policy.turn_rate, policy.accel, policy.gravity = settings.switch_turn_rate, settings.switch_accel, site.gravity

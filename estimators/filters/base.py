@@ -2,12 +2,11 @@
 
 A filter is a module with a record `Parameters` and kernels, see `Filter`; `USES` names the entries of a model that it
 calls beside those of the loop. Measurement noise, adaptation and recovery are the same for every filter (here and in
-`estimators.run`). What a filter keeps of its covariance is its own business: P itself unless it has `stored`,
+`estimators.run`). What a filter keeps of its covariance is its own business: P itself unless it has `store`,
 `reported` and `correct` of its own (`square_root`); how a group changes x and P as well: once, unless it has `update`
 (`iekf`, which looks again).
 """
 
-from collections.abc import Callable
 from types import ModuleType
 from typing import Any, Protocol
 
@@ -91,8 +90,8 @@ class Filter(Protocol):
     ) -> None:
         """Call the model's `report` with the covariance of x."""
 
-    def stored(self, P: np.ndarray) -> np.ndarray:
-        """What the filter keeps of a covariance P (n, n), itself (n, n); plain Python."""
+    def store(self, method: Record, model: Handle, P: np.ndarray) -> None:
+        """Make of a covariance P what the filter keeps of it, in its place."""
 
 
 class FilterHandle(Record):
@@ -105,6 +104,7 @@ class FilterHandle(Record):
     correct: Address
     update: Address
     reported: Address
+    store: Address
 
 
 METHOD = FilterHandle.dtype
@@ -140,6 +140,11 @@ def update(  # type: ignore[empty-body]
 @entry("pppppp")
 def reported(method: FilterHandle, model: Handle, x: np.ndarray, P: np.ndarray, work: Work, answer: Estimate) -> None:
     """See `Filter.reported`."""
+
+
+@entry("ppp")
+def store(method: FilterHandle, model: Handle, P: np.ndarray) -> None:
+    """See `Filter.store`."""
 
 
 @adapts(predict)
@@ -232,6 +237,19 @@ def _reported(m: ModuleType, kernel: Kernel) -> Kernel:
     return plain if kernel is None else body
 
 
+@adapts(store)
+def _store(m: ModuleType, kernel: Kernel) -> Kernel:
+    M = m.Parameters.dtype
+
+    def body(method, model, P):  # type: ignore[no-untyped-def]
+        kernel(record(record(method, METHOD).parameters, M), record(model, HANDLE), matrix(P))
+
+    def nothing(method, model, P):  # type: ignore[no-untyped-def]
+        pass
+
+    return nothing if kernel is None else body
+
+
 def project_linear(
     method: Record, model: Handle, group: int, x: np.ndarray, P: np.ndarray, u: np.ndarray, work: Work
 ) -> bool:
@@ -243,7 +261,7 @@ def project_linear(
 
 
 _DEFAULT: dict[Any, Any] = {update: _once}
-_ENTRIES = (predict, project, correct, update, reported)
+_ENTRIES = (predict, project, correct, update, reported, store)
 
 
 class Method:
@@ -266,8 +284,3 @@ class Method:
     def entries(self) -> tuple[Any, ...]:
         """The entries of a model that it needs."""
         return tuple(dict.fromkeys((*ALWAYS, *self.module.USES)))
-
-    def stored(self, P: np.ndarray) -> np.ndarray:
-        """What the filter keeps of a covariance P (n, n), itself (n, n)."""
-        stored: Callable[[np.ndarray], np.ndarray] | None = getattr(self.module, "stored", None)
-        return P if stored is None else stored(P)

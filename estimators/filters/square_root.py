@@ -218,9 +218,16 @@ def correct(method: Parameters, model: Handle, group: int, P: np.ndarray, work: 
     return ok
 
 
-def stored(P: np.ndarray) -> np.ndarray:
-    """The factor S of a covariance (n, n)."""
-    return np.linalg.cholesky(P)
+def store(method: Parameters, model: Handle, P: np.ndarray) -> None:
+    """Put the factor S of a covariance in its place."""
+    for j in range(model.size):
+        for i in range(j, model.size):
+            total = P[i, j]
+            for k in range(j):
+                total -= P[i, k] * P[j, k]
+            P[i, j] = math.sqrt(total) if i == j else total / P[j, j]
+        for i in range(j):
+            P[i, j] = 0.0
 
 
 def reported(method: Parameters, model: Handle, x: np.ndarray, P: np.ndarray, work: Work, answer: Estimate) -> None:

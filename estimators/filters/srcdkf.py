@@ -8,4 +8,4 @@ from estimators.filters.square_root import correct as correct
 from estimators.filters.square_root import predict as predict
 from estimators.filters.square_root import project as project
 from estimators.filters.square_root import reported as reported
-from estimators.filters.square_root import stored as stored
+from estimators.filters.square_root import store as store

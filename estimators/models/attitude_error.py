@@ -18,15 +18,15 @@ from typing import Any
 import numpy as np
 
 from estimators import adaptation
-from estimators.alignment import ALIGNED, Alignment
+from estimators.alignment import ALIGNED, Alignment, turned_sigmas
 from estimators.jit import inner
-from estimators.models.base import FLAGS, STATE, Group, Start, report_attitude
+from estimators.models.base import FLAGS, STATE, Group, Layout, report_attitude
 from estimators.native import Flags3, Matrix3, Number, Record, Vector3, Vector4, local
 from estimators.plausible import MAX_FIELD, MAX_FORCE, MAX_RATE, plausible
-from estimators.records import Estimate, Sample
-from estimators.rotations import attitude_matrix, normalise, rotation_between, rotation_slopes, to_body, turn
+from estimators.records import Estimate, Place, Sample, Sheet
+from estimators.rotations import normalise, rotation_between, rotation_slopes, to_body, turn
 from estimators.settings import Setting
-from estimators.types import SensorInfo, Site, Status
+from estimators.types import Status
 
 ERROR, BIAS = slice(0, 3), slice(3, 6)  # of the error
 FORCE, FIELD = range(2)  # groups
@@ -211,40 +211,43 @@ def report(model: Parameters, x: State, P: np.ndarray, memory: Memory, answer: E
 _FLOOR = (1e-5, 1e-14, 1e-7)  # m/s2, T, rad/s/sqrt(Hz): no sensor is taken for better than this
 
 
-def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignment: Alignment) -> Start:
-    """Make the model and its first state from settings, place, sensors and alignment."""
-    accel, mag = settings["accel_sigma"], settings["mag_sigma"]
-    if settings["noise"] == "sensors":
+def layout(settings: Mapping[str, Any]) -> Layout:
+    """Sizes of the model."""
+    groups = Group(0, 3, 0, 3, False), Group(3, 3, 0, 3, False)
+    return Layout(raw=7, size=6, changed=3, read=6, groups=groups, magnetic=(3, 6, 1))
+
+
+_SENSORS, _FROM_GROUND = (SETTINGS["noise"].choices.index(name) for name in ("sensors", "from-ground"))
+
+
+def build(
+    settings: Any, site: Place, sensors: Sheet, alignment: Alignment, model: Parameters, memory: Memory, x: State,
+    P: np.ndarray, P_restart: np.ndarray,
+) -> None:  # fmt: skip
+    """Set parameters and first state from settings, place, sensors and alignment."""
+    accel, mag, seen = settings.accel_sigma, settings.mag_sigma, True
+    if settings.noise == _SENSORS:
         accel, mag = sensors.accel_noise * math.sqrt(sensors.rate / 2), sensors.mag_noise
-    R_accel, R_mag = max(accel, _FLOOR[0]) ** 2 * np.eye(3), max(mag, _FLOOR[1]) ** 2 * np.eye(3)
-    if settings["noise"] == "from-ground" and alignment.still:
-        R_accel = alignment.accel_cov + _FLOOR[0] ** 2 * np.eye(3)
-        if np.all(np.isfinite(alignment.mag_cov)):
-            R_mag = alignment.mag_cov + _FLOOR[1] ** 2 * np.eye(3)
-    parameters = Parameters.of(
-        gravity_n=np.array([0.0, 0.0, -site.gravity]),
-        mag_n=np.array(site.mag_n, float),
-        R_accel=R_accel,
-        R_mag=R_mag,
-        gyro_psd=0.5 * max(sensors.gyro_noise, _FLOOR[2]) ** 2,
-        bias_noise=settings["bias_walk"] ** 2,
-    )
-    x, P, P_restart = np.zeros(7), np.zeros((6, 6)), np.zeros((6, 6))
-    x[:4], x[4:] = alignment.q_nb, alignment.gyro_bias
-    C_bn = np.empty((3, 3))
-    attitude_matrix(alignment.q_nb, C_bn)
-    P[ERROR, ERROR] = 0.25 * np.einsum("ij,j,kj->ik", C_bn, alignment.sigma_n**2, C_bn) + 1e-12 * np.eye(3)
-    P[BIAS, BIAS] = np.diag(alignment.gyro_bias_sigma**2)
-    P_restart[ERROR, ERROR] = 0.1 * np.eye(3)
-    P_restart[BIAS, BIAS] = (sensors.gyro_bias**2 + 1e-8) * np.eye(3)
-    return Start(
-        parameters=parameters,
-        memory=Memory.nans(),
-        x=x,
-        P=P,
-        P_restart=P_restart,
-        changed=3,
-        read=6,
-        groups=(Group(0, 3, 0, 3, False), Group(3, 3, 0, 3, False)),
-        magnetic=(3, 6, 1),
-    )
+    accel, mag = max(accel, _FLOOR[0]) ** 2, max(mag, _FLOOR[1]) ** 2
+    ground = settings.noise == _FROM_GROUND and alignment.still
+    for i in range(3):
+        for j in range(3):
+            seen &= math.isfinite(alignment.mag_cov[i, j])
+    for i in range(3):
+        for j in range(3):
+            one = 1.0 if i == j else 0.0
+            model.R_accel[i, j] = alignment.accel_cov[i, j] + _FLOOR[0] ** 2 * one if ground else accel * one
+            model.R_mag[i, j] = alignment.mag_cov[i, j] + _FLOOR[1] ** 2 * one if ground and seen else mag * one
+    for i in range(3):
+        model.gravity_n[i], model.mag_n[i] = 0.0, site.mag_n[i]
+    model.gravity_n[2] = -site.gravity
+    model.gyro_psd = 0.5 * max(sensors.gyro_noise, _FLOOR[2]) ** 2
+    model.bias_noise = settings.bias_walk**2
+    turned_sigmas(alignment, 0.25, P)
+    for i in range(4):
+        x.q_nb[i] = alignment.q_nb[i]
+    for i in range(3):
+        x.gyro_bias[i] = alignment.gyro_bias[i]
+        P[i, i] += 1e-12
+        P[3 + i, 3 + i] = alignment.gyro_bias_sigma[i] ** 2
+        P_restart[i, i], P_restart[3 + i, 3 + i] = 0.1, sensors.gyro_bias**2 + 1e-8

@@ -5,7 +5,7 @@ A model is a module with
     Parameters, State, Inputs, Memory, Readings   records: what the kernels read and keep, by name
     load, measure, propagate, ...                 its kernels, see `Model`
     SETTINGS                                      what a user can choose
-    build(settings, site, sensors, alignment)     its `Start`
+    layout(settings)                              its `Layout`
 
 A filter sees none of these names. To it the state x, the inputs u and the measurements z are vectors, and the model is
 a *handle*: the sizes below, and the functions of this module, which call the model's kernels on records that lie over
@@ -27,6 +27,7 @@ from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
 
+from estimators.alignment import ALIGNMENT, Alignment
 from estimators.jit import JIT, njit
 from estimators.native import (
     CAPACITY,
@@ -37,6 +38,7 @@ from estimators.native import (
     Record,
     adapts,
     entry,
+    flags,
     matrix,
     pointer,
     record,
@@ -45,7 +47,7 @@ from estimators.native import (
     supplied,
     vector,
 )
-from estimators.records import ESTIMATE, SAMPLE, Estimate, Sample
+from estimators.records import ESTIMATE, PLACE, SAMPLE, SHEET, Estimate, Place, Sample, Sheet, settings_type
 
 STATE = 8 * CAPACITY
 """Bytes of a state, of inputs and of measurements: `class State(Record, size=STATE)`."""
@@ -68,14 +70,11 @@ class Group(NamedTuple):
     linear: bool  # the prediction is linear in them: no filter approximates it then
 
 
-class Start(NamedTuple):
-    """What a model's `build` returns: parameters and the first contents of the estimator's memory."""
+class Layout(NamedTuple):
+    """What a model's `layout` returns: its sizes, from its settings."""
 
-    parameters: Any  # record `Parameters`
-    memory: Any  # record `Memory`
-    x: np.ndarray  # (raw,)
-    P: np.ndarray  # (size, size)
-    P_restart: np.ndarray  # (size, size), of a filter that was numerically lost
+    raw: int  # numbers of the state
+    size: int  # components of the error
     changed: int  # see above
     read: int
     groups: tuple[Group, ...]
@@ -97,6 +96,16 @@ class Model(Protocol):
     Memory: type[Record]
     Readings: type[Record]
     Used: type[Record]
+
+    def build(
+        self, settings: Record, site: Place, sensors: Sheet, alignment: Alignment, model: Record, memory: Record,
+        x: Record, P: np.ndarray, P_restart: np.ndarray,
+    ) -> None:  # fmt: skip
+        """Set the parameters `model`, all of them, and the first state x with its covariance.
+
+        `memory` is NaN, everything else zero before; `settings` are a record of SETTINGS (`pack_settings`); `P_restart`
+        is for a filter that was numerically lost.
+        """
 
     def load(self, model: Record, row: Sample, x: Record, memory: Record, u: Record) -> None:
         """Set the inputs u of the step that ends with a row, x before it; keep what the next row needs."""
@@ -157,6 +166,9 @@ class Handle(Record):
     disturbed: _Rows
     subtracts: Integer  # 1: it has no `residual`
     adds: Integer  # 1: it has no `retract`
+    blank: Address  # what `memory` is at first
+    memory_size: Integer  # bytes
+    build: Address
     load: Address
     measure: Address
     propagate: Address
@@ -182,6 +194,14 @@ HANDLE = Handle.dtype
 
 
 # The same kernels as a filter calls them. `model` is a handle, vectors have CAPACITY elements.
+
+
+@entry("pppppppp")
+def build(
+    model: Handle, settings: np.ndarray, site: Place, sensors: Sheet, alignment: Alignment, x: np.ndarray,
+    P: np.ndarray, P_restart: np.ndarray,
+) -> None:  # fmt: skip
+    """See `Model.build`."""
 
 
 @entry("pppp")
@@ -250,6 +270,23 @@ def report(model: Handle, x: np.ndarray, P: np.ndarray, answer: Estimate) -> Non
 
 
 # How a kernel becomes the C function that these calls go to: pointers in, records out.
+
+
+@adapts(build)
+def _build(m: ModuleType, kernel: Kernel) -> Kernel:
+    P, X, M, S = m.Parameters.dtype, m.State.dtype, m.Memory.dtype, settings_type(m.SETTINGS)
+
+    def body(model, settings, site, sensors, alignment, x, P_, P_restart):  # type: ignore[no-untyped-def]
+        h = record(model, HANDLE)
+        memory, blank = flags(h.memory), flags(h.blank)
+        for i in range(h.memory_size):
+            memory[i] = blank[i]
+        kernel(
+            record(settings, S), record(site, PLACE), record(sensors, SHEET), record(alignment, ALIGNMENT),
+            record(h.parameters, P), record(h.memory, M), record(x, X), matrix(P_), matrix(P_restart),
+        )  # fmt: skip
+
+    return body
 
 
 @adapts(load)
@@ -403,7 +440,7 @@ def _report(m: ModuleType, kernel: Kernel) -> Kernel:
     return body
 
 
-ALWAYS = (load, measure, measurement_noise, process_noise, residual, retract, constrain, report)
+ALWAYS = (build, load, measure, measurement_noise, process_noise, residual, retract, constrain, report)
 """What the loop calls for any filter."""
 BANK = (measurement_noise, process_noise, residual, retract, constrain)
 """What a bank of filters calls."""
@@ -413,40 +450,45 @@ _DEFAULT = (residual, retract, difference, constrain)
 class Bound:
     """A model with its memory, and the handle by which filters know it."""
 
-    def __init__(self, model: ModuleType, start: Start, entries: tuple[Any, ...]) -> None:
-        """Bind the kernels of `entries`, compiled or loaded."""
+    def __init__(
+        self, model: Any, layout: Layout, entries: tuple[Any, ...], parameters: Any = None, memory: Any = None
+    ) -> None:  # fmt: skip
+        """Bind the kernels of `entries`, compiled or loaded; parameters and memory are NaN before `build`."""
         from estimators.filters import moments
 
-        self.parameters, self.memory = start.parameters, start.memory
-        self.size, self.raw = n, raw = len(start.P), len(start.x)
+        self.parameters = model.Parameters.nans() if parameters is None else parameters
+        self.memory, self.blank = (model.Memory.nans() if memory is None else memory for _ in range(2))
+        self.size, self.raw = n, raw = layout.size, layout.raw
         if raw > CAPACITY:
             raise ValueError(f"{model.__name__}: {raw} numbers in a state, at most {CAPACITY}")
         fields: dict[str, Any] = {
-            "raw": raw, "size": n, "changed": start.changed, "read": start.read, "groups": len(start.groups),
-            "magnetic": np.array(start.magnetic), "disturbed": np.array(start.disturbed),
+            "raw": raw, "size": n, "changed": layout.changed, "read": layout.read, "groups": len(layout.groups),
+            "magnetic": np.array(layout.magnetic), "disturbed": np.array(layout.disturbed),
+            "memory_size": self.memory.data.nbytes,
             "subtracts": int(not hasattr(model, "residual")), "adds": int(not hasattr(model, "retract")),
         }  # fmt: skip
         for name in Group._fields:
             fields[name] = np.zeros(GROUPS, np.int64)
-            fields[name][: len(start.groups)] = [getattr(group, name) for group in start.groups]
-        sizes = moments.Sizes(n, start.changed, start.read)
+            fields[name][: len(layout.groups)] = [getattr(group, name) for group in layout.groups]
+        sizes = moments.Sizes(n, layout.changed, layout.read)
         for called in entries:
             owner: Any = model
             kernel = getattr(model, called.__name__, None)
             key = source_key(kernel, "models.plain")
             if called in moments.ENTRIES:
-                owner, key = sizes, f"moments-{n}-{start.changed}-{start.read}"
+                owner, key = sizes, f"moments-{n}-{layout.changed}-{layout.read}"
             elif kernel is None and called not in _DEFAULT:
                 raise TypeError(f"{model.__name__} has no kernel '{called.__name__}'")
             fields[called.__name__] = supplied(called, owner, kernel, key)
         if not JIT:
-            self.handle: Any = Plain(parameters=self.parameters, memory=self.memory, **fields)
+            self.handle: Any = Plain(parameters=self.parameters, memory=self.memory, blank=self.blank, **fields)
         else:
             handle = Handle.zeros()
             for name, value in {
                 **fields,
                 "parameters": pointer(self.parameters),
                 "memory": pointer(self.memory),
+                "blank": pointer(self.blank),
             }.items():
                 setattr(handle, name, value)
             self.handle = handle

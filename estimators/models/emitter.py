@@ -25,7 +25,7 @@ import numpy as np
 from estimators.errors import SettingError
 from estimators.filters.base import Method
 from estimators.jit import njit
-from estimators.models.base import BANK, STATE, Bound, Group, Start
+from estimators.models.base import BANK, STATE, Bound, Group, Layout
 from estimators.native import Number, Record, local, shaped, vector
 
 LIGHT = 299_792_458.0
@@ -298,15 +298,6 @@ def residual(model: Parameters, group: int, z: np.ndarray, y: np.ndarray, out: n
 
 def bound(emitter: Emitter, method: Method) -> Bound:
     """Bind the model for a filter; it has no alignment, and its states are a bank's (`gaussian_sum`)."""
-    nothing = np.zeros((2, 2))
-    start = Start(
-        parameters=Parameters.of(**emitter._asdict()),
-        memory=Inputs.zeros(),
-        x=np.zeros(2),
-        P=nothing,
-        P_restart=nothing,
-        changed=0,
-        read=0,
-        groups=(Group(0, 2, 0, 2, False),),
-    )
-    return Bound(sys.modules[__name__], start, (*method.module.USES, *BANK))
+    layout = Layout(raw=2, size=2, changed=0, read=0, groups=(Group(0, 2, 0, 2, False),))
+    entries = (*method.module.USES, *BANK)
+    return Bound(sys.modules[__name__], layout, entries, Parameters.of(**emitter._asdict()), Inputs.zeros())

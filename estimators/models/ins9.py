@@ -27,18 +27,18 @@ from typing import Annotated, Any
 import numpy as np
 
 from estimators import adaptation
-from estimators.alignment import ALIGNED, Alignment
+from estimators.alignment import ALIGNED, Alignment, turned_sigmas
 from estimators.earth import EARTH_RATE, GRAVITY_GRADIENT, apart, frame_rates, move, normal_gravity, radii
 from estimators.jit import inner
 from estimators.models.attitude_error import mean_rate
-from estimators.models.base import FLAGS, STATE, Group, Start, report_attitude
+from estimators.models.base import FLAGS, STATE, Group, Layout, report_attitude
 from estimators.native import Flag, Flags3, Number, Record, Vector3, Vector4, local, shaped
 from estimators.past import Ring, keep, recall
 from estimators.plausible import MAX_FORCE, MAX_SPEED, on_earth, plausible
-from estimators.records import Estimate, Sample
+from estimators.records import Estimate, Place, Sample, Sheet
 from estimators.rotations import attitude_matrix, multiply, normalise, rotation_slopes, to_nav, turn, wrap, yaw
 from estimators.settings import Setting
-from estimators.types import SensorInfo, Site, Status
+from estimators.types import Status
 
 ATTITUDE, PLACE, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9)  # of the error; the raw state has one more in front
 FIX, ANTENNA, COURSE = range(3)  # groups
@@ -384,43 +384,44 @@ def report(model: Parameters, x: State, P: np.ndarray, memory: Memory, answer: E
         answer.lla[i], answer.vel_n[i] = x.lla[i], x.vel_n[i]
 
 
-def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignment: Alignment) -> Start:
-    """Make the model and its first state from settings, place, sensors and alignment."""
-    parameters = Parameters.of(
-        origin=site.lla,
-        a=settings["rodrigues_a"],
-        gyro_bias=alignment.gyro_bias,
-        antenna_b=sensors.antenna_b,
-        gyro_psd=0.5 * max(settings["gyro_noise"], sensors.gyro_noise) ** 2,
-        accel_psd=0.5 * max(settings["accel_noise"], sensors.accel_noise) ** 2,
-        place_variance=(settings["position_share"] * max(sensors.gnss_pos, 1e-3)) ** 2,
-        velocity_variance=(settings["velocity_share"] * max(sensors.gnss_vel, 1e-4)) ** 2,
-        heading_share=settings["heading_share"],
-        drift_variance=settings["drift_sigma"] ** 2,
-        course_speed=settings["course_speed"],
-        wind_n=(settings["wind_north"], settings["wind_east"]),
-        use_heading=settings["heading_aid"],
-    )
-    x, P, P_restart = np.zeros(10), np.zeros((9, 9)), np.zeros((9, 9))
-    x[:4], x[4:7] = alignment.q_nb, site.lla
-    C_bn = np.empty((3, 3))
-    attitude_matrix(alignment.q_nb, C_bn)
-    P[ATTITUDE, ATTITUDE] = np.einsum("ij,j,kj->ik", C_bn, alignment.sigma_n**2, C_bn) + 1e-10 * np.eye(3)
-    known = bool(np.isfinite(alignment.vel_n).all() and np.isfinite(alignment.lla).all())
-    if known:
-        x[4:7], x[7:10] = alignment.lla, alignment.vel_n
+def layout(settings: Mapping[str, Any]) -> Layout:
+    """Sizes of the model."""
+    groups = Group(0, 6, 3, 9, True), Group(6, 1, 0, 3, False), Group(7, 1, 0, 3, False)
+    return Layout(raw=10, size=9, changed=9, read=9, groups=groups, disturbed=(7, 8, 3))
+
+
+@inner
+def _set(settings: Any, site: Place, sensors: Sheet, alignment: Alignment, model: Parameters) -> None:
+    """Set the parameters."""
+    for i in range(3):
+        model.origin[i], model.antenna_b[i] = site.lla[i], sensors.antenna_b[i]
+        model.gyro_bias[i] = alignment.gyro_bias[i]
+    model.a, model.use_heading = settings.rodrigues_a, settings.heading_aid
+    model.gyro_psd = 0.5 * max(settings.gyro_noise, sensors.gyro_noise) ** 2
+    model.accel_psd = 0.5 * max(settings.accel_noise, sensors.accel_noise) ** 2
+    model.place_variance = (settings.position_share * max(sensors.gnss_pos, 1e-3)) ** 2
+    model.velocity_variance = (settings.velocity_share * max(sensors.gnss_vel, 1e-4)) ** 2
+    model.heading_share, model.course_speed = settings.heading_share, settings.course_speed
+    model.drift_variance = settings.drift_sigma**2
+    model.wind_n[0], model.wind_n[1] = settings.wind_north, settings.wind_east
+
+
+def build(
+    settings: Any, site: Place, sensors: Sheet, alignment: Alignment, model: Parameters, memory: Memory, x: State,
+    P: np.ndarray, P_restart: np.ndarray,
+) -> None:  # fmt: skip
+    """Set parameters and first state from settings, place, sensors and alignment."""
+    _set(settings, site, sensors, alignment, model)
+    known = True
+    for i in range(3):
+        known &= math.isfinite(alignment.vel_n[i]) and math.isfinite(alignment.lla[i])
+    for i in range(4):
+        x.q_nb[i] = alignment.q_nb[i]
+    turned_sigmas(alignment, 1.0, P)
     speed = 0.1 if alignment.still else 3.0 if known else 30.0
-    P[PLACE, PLACE], P[VELOCITY, VELOCITY] = (10.0 if alignment.still else 1e3) ** 2 * np.eye(3), speed**2 * np.eye(3)
-    P_restart[ATTITUDE, ATTITUDE] = 0.4 * np.eye(3)
-    P_restart[PLACE, PLACE], P_restart[VELOCITY, VELOCITY] = 1e6 * np.eye(3), 900.0 * np.eye(3)
-    return Start(
-        parameters=parameters,
-        memory=Memory.nans(),
-        x=x,
-        P=P,
-        P_restart=P_restart,
-        changed=9,
-        read=9,
-        groups=(Group(0, 6, 3, 9, True), Group(6, 1, 0, 3, False), Group(7, 1, 0, 3, False)),
-        disturbed=(7, 8, 3),
-    )
+    for i in range(3):
+        x.lla[i] = alignment.lla[i] if known else site.lla[i]
+        x.vel_n[i] = alignment.vel_n[i] if known else 0.0
+        P[i, i] += 1e-10
+        P[3 + i, 3 + i], P[6 + i, 6 + i] = (10.0 if alignment.still else 1e3) ** 2, speed**2
+        P_restart[i, i], P_restart[3 + i, 3 + i], P_restart[6 + i, 6 + i] = 0.4, 1e6, 900.0

@@ -33,15 +33,14 @@ from estimators import adaptation
 from estimators.alignment import SETTINGS as ALIGNMENT
 from estimators.alignment import Alignment, attitude_block
 from estimators.jit import inner
-from estimators.models.base import FLAGS, STATE, Group, Start, report_attitude
+from estimators.models.base import FLAGS, STATE, Group, Layout, report_attitude
 from estimators.native import Flags3, Integer, Matrix3, Number, Record, Vector3, Vector4, local
 from estimators.plausible import MAX_FIELD, MAX_FORCE, MAX_RATE, MAX_SPEED, plausible
-from estimators.records import Estimate, Sample
+from estimators.records import Estimate, Place, Sample, Sheet
 from estimators.rotations import exp_terms, normalise, to_body, to_body_by_q, to_nav, turn
 from estimators.settings import Setting
-from estimators.types import SensorInfo, Site, Status
+from estimators.types import Status
 
-ATTITUDE, RATE, BIAS = slice(0, 4), slice(4, 7), slice(7, 10)
 DIRECTIONS, TURNING = range(2)  # groups: accelerometer and magnetometer, gyro
 NONE, AIR, GNSS = range(3)  # aiding
 MAG_TIMEOUT = 1.0  # s without magnetometer: the heading is carried by the gyro
@@ -367,68 +366,78 @@ def _report_fixed(model: Parameters, x: State, memory: Memory, answer: Estimate)
 _FLOOR = (1e-5, 1e-11, 1e-7)  # m/s2, T, rad/s: no sensor of a ground phase is taken for better than this
 
 
-def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignment: Alignment) -> Start:
-    """Make the model and its first state from settings, place, sensors and alignment."""
-    aiding = {"none": NONE, "airspeed": AIR, "gnss": GNSS}[settings["aiding"]]
-    noise, practical = settings["noise"], 0.0
-    if noise == "auto":
-        noise = "from-ground" if aiding == NONE else "practical"
-    if noise == "from-ground" and alignment.still:
-        R_accel, R_mag, R_gyro = (
-            cov + floor**2 * np.eye(3)
-            for cov, floor in zip((alignment.accel_cov, alignment.mag_cov, alignment.gyro_cov), _FLOOR, strict=True)
-        )
-        Q_rate = R_gyro * sensors.rate  # the paper is silent on how: the gyro's own scatter per sample
-        if not np.all(np.isfinite(R_mag)):  # no magnetometer seen yet
-            R_mag = settings["mag_sigma"] ** 2 * np.eye(3)
-    else:
-        R_accel, R_mag = settings["accel_sigma"] ** 2 * np.eye(3), settings["mag_sigma"] ** 2 * np.eye(3)
-        R_gyro = max(_FLOOR[2] ** 2, sensors.gyro_noise**2 * sensors.rate / 2) * np.eye(3)
-        Q_rate = settings["rate_noise"] ** 2 * np.eye(3)
-        practical = 1.0
-    horizontal = math.hypot(site.mag_n[0], site.mag_n[1])
-    parameters = Parameters.of(
-        gravity_n=np.array([0.0, 0.0, -site.gravity]),
-        mag_n=np.array(site.mag_n, float),
-        R_accel=R_accel,
-        R_mag=R_mag,
-        R_gyro=R_gyro,
-        Q_rate=Q_rate,
-        q_noise=1e-10,
-        bias_noise=settings["bias_walk"] ** 2,
-        aiding=aiding,
-        speed_filter=settings["speed_filter"],
-        speed_min=settings["speed_min"],
-        unaided_factor=settings["unaided_factor"],
-        incidence=settings["incidence"],
-        rate_noise=practical * 2.0 * settings["scale_time"] * (settings["scale_share"] * sensors.gyro_scale) ** 2,
-        fixed_tilt=practical * ((sensors.accel_bias / site.gravity) ** 2 + sensors.accel_scale**2),
-        fixed_heading=practical * (sensors.mag_bias / horizontal) ** 2,
-        dip_slope=abs(site.mag_n[2]) / horizontal,
-        speed_scale=sensors.airspeed_scale,
-    )
-    x, P, P_restart = np.zeros(10), np.zeros((10, 10)), np.zeros((10, 10))
-    P_restart[ATTITUDE, ATTITUDE] = 0.1 * np.eye(4)
-    P_restart[RATE, RATE] = 0.1 * np.eye(3)
-    P_restart[BIAS, BIAS] = sensors.gyro_bias**2 * np.eye(3) + 1e-8 * np.eye(3)
-    if settings["initialisation"] == "paper":
-        x[ATTITUDE] = 0.0, 0.0, 0.0, 1.0
-        P[:] = 1e4 * np.eye(10)
-    else:
-        x[ATTITUDE] = alignment.q_nb
-        x[BIAS] = alignment.gyro_bias
-        P[ATTITUDE, ATTITUDE] = attitude_block(alignment) + 1e-8 * np.eye(4)
-        P[RATE, RATE] = 0.01**2 * np.eye(3) if alignment.still else 0.3**2 * np.eye(3)
-        P[BIAS, BIAS] = np.diag(alignment.gyro_bias_sigma**2)
-    motion = 7 if aiding == AIR else 4  # w x v reads the rate as well
-    return Start(
-        parameters=parameters,
-        memory=Memory.nans(),
-        x=x,
-        P=P,
-        P_restart=P_restart,
+def layout(settings: Mapping[str, Any]) -> Layout:
+    """Sizes of the model; w x v reads the rate as well."""
+    motion = 7 if settings["aiding"] == "airspeed" else 4
+    return Layout(
+        raw=10,
+        size=10,
         changed=4,  # the quaternion
         read=7,  # quaternion and rate
         groups=(Group(0, 6, 0, motion, False), Group(6, 3, 4, 10, True)),
         magnetic=(3, 6, 1),
     )
+
+
+_AUTO, _FROM_GROUND, _ = (SETTINGS["noise"].choices.index(name) for name in ("auto", "from-ground", "practical"))
+_PAPER = SETTINGS["initialisation"].choices.index("paper")
+
+
+@inner
+def _noise(settings: Any, sensors: Sheet, alignment: Alignment, model: Parameters) -> bool:
+    """Covariances of the sensors and of the body rate; whether they are practical ones."""
+    noise = settings.noise
+    if noise == _AUTO:
+        noise = _FROM_GROUND if settings.aiding == NONE else noise
+    accel, mag, seen = settings.accel_sigma**2, settings.mag_sigma**2, True
+    gyro = max(_FLOOR[2] ** 2, sensors.gyro_noise**2 * sensors.rate / 2)
+    ground = noise == _FROM_GROUND and alignment.still
+    for i in range(3):
+        for j in range(3):
+            one = 1.0 if i == j else 0.0
+            model.R_accel[i, j], model.R_mag[i, j] = accel * one, mag * one
+            model.R_gyro[i, j], model.Q_rate[i, j] = gyro * one, settings.rate_noise**2 * one
+            if ground:
+                model.R_accel[i, j] = alignment.accel_cov[i, j] + _FLOOR[0] ** 2 * one
+                model.R_gyro[i, j] = alignment.gyro_cov[i, j] + _FLOOR[2] ** 2 * one
+                model.Q_rate[i, j] = model.R_gyro[i, j] * sensors.rate  # silent on how: the scatter per sample
+                seen &= math.isfinite(alignment.mag_cov[i, j])
+    if ground and seen:  # else no magnetometer was seen yet
+        for i in range(3):
+            for j in range(3):
+                model.R_mag[i, j] = alignment.mag_cov[i, j] + (_FLOOR[1] ** 2 if i == j else 0.0)
+    return not ground
+
+
+def build(
+    settings: Any, site: Place, sensors: Sheet, alignment: Alignment, model: Parameters, memory: Memory, x: State,
+    P: np.ndarray, P_restart: np.ndarray,
+) -> None:  # fmt: skip
+    """Set parameters and first state from settings, place, sensors and alignment."""
+    practical = 1.0 if _noise(settings, sensors, alignment, model) else 0.0
+    horizontal = math.hypot(site.mag_n[0], site.mag_n[1])
+    for i in range(3):
+        model.gravity_n[i], model.mag_n[i] = 0.0, site.mag_n[i]
+    model.gravity_n[2] = -site.gravity
+    model.q_noise, model.bias_noise = 1e-10, settings.bias_walk**2
+    model.aiding, model.speed_filter, model.speed_min = settings.aiding, settings.speed_filter, settings.speed_min
+    model.unaided_factor, model.incidence = settings.unaided_factor, settings.incidence
+    model.rate_noise = practical * 2.0 * settings.scale_time * (settings.scale_share * sensors.gyro_scale) ** 2
+    model.fixed_tilt = practical * ((sensors.accel_bias / site.gravity) ** 2 + sensors.accel_scale**2)
+    model.fixed_heading = practical * (sensors.mag_bias / horizontal) ** 2
+    model.dip_slope, model.speed_scale = abs(site.mag_n[2]) / horizontal, sensors.airspeed_scale
+    for i in range(10):
+        P_restart[i, i] = 0.1 if i < 7 else sensors.gyro_bias**2 + 1e-8
+    if settings.initialisation == _PAPER:
+        x.q_nb[3] = 1.0
+        for i in range(10):
+            P[i, i] = 1e4
+        return
+    attitude_block(alignment, P)
+    for i in range(4):
+        x.q_nb[i] = alignment.q_nb[i]
+        P[i, i] += 1e-8
+    for i in range(3):
+        x.gyro_bias[i] = alignment.gyro_bias[i]
+        P[4 + i, 4 + i] = 0.01**2 if alignment.still else 0.3**2
+        P[7 + i, 7 + i] = alignment.gyro_bias_sigma[i] ** 2

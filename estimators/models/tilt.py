@@ -25,13 +25,13 @@ from estimators import adaptation
 from estimators.alignment import ALIGNED, COARSE_TILT, Alignment
 from estimators.jit import inner
 from estimators.models.attitude_error import GYRO_TIMEOUT, mean_rate
-from estimators.models.base import FLAGS, STATE, Group, Start
+from estimators.models.base import FLAGS, STATE, Group, Layout
 from estimators.native import Flags3, Number, Record, Vector3, local
 from estimators.plausible import MAX_FORCE, plausible
-from estimators.records import Estimate, Sample
+from estimators.records import Estimate, Place, Sample, Sheet
 from estimators.rotations import rotation_slopes, to_body
 from estimators.settings import Setting
-from estimators.types import SensorInfo, Site, Status
+from estimators.types import Status
 
 _RUNNING, _COASTING = int(Status.RUNNING), int(Status.COASTING)
 
@@ -194,25 +194,23 @@ def report(model: Parameters, x: State, P: np.ndarray, memory: Memory, answer: E
     answer.gyro_bias[0], answer.gyro_bias[1] = memory.gyro_bias[0], memory.gyro_bias[1]
 
 
-def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignment: Alignment) -> Start:
-    """Make the model and its first state from settings, place, sensors and alignment."""
-    rate_noise = max(settings["gyro_noise"], sensors.gyro_noise)
-    parameters = Parameters.of(
-        accel_variance=settings["accel_sigma"] ** 2,
-        gyro_psd=0.5 * rate_noise**2,
-        bias_time=settings["bias_time"],
-        bias_start=alignment.gyro_bias if settings["bias_start"] == "aligned" else np.zeros(3),
-    )
-    x = np.empty(3)
-    to_body(alignment.q_nb, 0.0, 0.0, 1.0, x)
-    P = float(alignment.sigma_n[0]) ** 2 * np.eye(3)
-    return Start(
-        parameters=parameters,
-        memory=Memory.nans(),
-        x=x,
-        P=P,
-        P_restart=COARSE_TILT**2 * np.eye(3),
-        changed=3,
-        read=3,
-        groups=(Group(0, 3, 0, 3, True),),
-    )
+def layout(settings: Mapping[str, Any]) -> Layout:
+    """Sizes of the model."""
+    return Layout(raw=3, size=3, changed=3, read=3, groups=(Group(0, 3, 0, 3, True),))
+
+
+_ALIGNED = SETTINGS["bias_start"].choices.index("aligned")
+
+
+def build(
+    settings: Any, site: Place, sensors: Sheet, alignment: Alignment, model: Parameters, memory: Memory, x: State,
+    P: np.ndarray, P_restart: np.ndarray,
+) -> None:  # fmt: skip
+    """Set parameters and first state from settings, place, sensors and alignment."""
+    model.accel_variance = settings.accel_sigma**2
+    model.gyro_psd = 0.5 * max(settings.gyro_noise, sensors.gyro_noise) ** 2
+    model.bias_time = settings.bias_time
+    to_body(alignment.q_nb, 0.0, 0.0, 1.0, x.down_b)
+    for i in range(3):
+        model.bias_start[i] = alignment.gyro_bias[i] if settings.bias_start == _ALIGNED else 0.0
+        P[i, i], P_restart[i, i] = alignment.sigma_n[0] ** 2, COARSE_TILT**2

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from estimators.alignment import ALIGNING, NO_HEADING, STILL, Alignment, Stretch, align, conclude, limits, pieces
+from estimators.alignment import ALIGNING, NO_HEADING, STILL, Alignment, Stretch, align, concluded, limits, pieces
 from estimators.errors import EstimationError, SampleError
 from estimators.native import loaded, passed
 from estimators.navigator.aids import UP, Z_BASELINE, Z_FIELD, Z_PLACE, Z_VELOCITY
@@ -121,7 +121,7 @@ class Navigator:
             records = pack(samples)  # kept by a name: what is passed is its address
             done = self._align(*passed(self._stretch, records), len(rows.t), *limits_)
             if self._stretch.phase != ALIGNING:
-                alignment = conclude(self._stretch, self._stretch.phase == STILL, self.site, self.sensors)
+                alignment = concluded(self._stretch, self._stretch.phase == STILL, self.site, self.sensors)
                 self._carry = start(self._model, self.settings, self.site, self.sensors, alignment)
         if done < len(rows.t):
             assert self._carry is not None
@@ -165,7 +165,7 @@ class Navigator:
         stretch, kept, carry = Stretch.make(), state.get("filter"), None
         self._copy("stretch", state.get("stretch"), stretch.data)
         if kept is not None:
-            alignment = conclude(Stretch.make(), False, self.site, self.sensors)  # any: the shapes are what counts
+            alignment = concluded(Stretch.make(), False, self.site, self.sensors)  # any: the shapes are what counts
             carry = start(self._model, self.settings, self.site, self.sensors, alignment)
             for name, array in _arrays(carry):
                 self._copy(name, kept.get(name) if isinstance(kept, Mapping) else None, array)

@@ -2,12 +2,14 @@
 
 import numpy as np
 
+from estimators.alignment import Stretch, concluded
 from estimators.filters import moments
 from estimators.filters.base import predict
 from estimators.filters.work import Work
 from estimators.jit import JIT
 from estimators.models import base
 from estimators.native import CAPACITY, caller, pointer
+from estimators.records import Place, Sheet, pack_settings
 
 MODEL = (
     base.propagate, base.transition, base.process_noise, base.observe, base.slope, base.measurement_noise,
@@ -36,10 +38,20 @@ def called(entry, handle, *arguments):
 
 
 class Kernels:
-    def __init__(self, module, start, entries=(*MODEL, *moments.ENTRIES)):
-        self.start, self.bound = start, base.Bound(module, start, entries)
-        self.handle, self.parameters = self.bound.handle, start.parameters
-        self.size, self.raw, self.changed, self.groups = len(start.P), len(start.x), start.changed, start.groups
+    """A model that has begun: with these settings and an alignment of nothing, or an estimator's own."""
+
+    def __init__(self, module, settings, site, sensors, parameters=None, memory=None):
+        layout = module.layout(settings)
+        self.bound = base.Bound(module, layout, (base.build, *MODEL, *moments.ENTRIES))
+        self.handle, self.parameters, self.groups = self.bound.handle, self.bound.parameters, layout.groups
+        self.size, self.raw, self.changed = layout.size, layout.raw, layout.changed
+        x, P, P_restart = vector([]), matrix([]), matrix([])
+        place, sheet, values = Place.from_site(site), Sheet.from_info(sensors), pack_settings(module.SETTINGS, settings)
+        alignment = concluded(Stretch.make(), False, site, sensors)
+        called(base.build, self.handle, values, place, sheet, alignment, x, P, P_restart)
+        self.x, self.P = x[: self.raw], P[: self.size, : self.size]
+        if parameters is not None:
+            self.bound.parameters.data[...], self.bound.memory.data[...] = parameters.data, memory.data
 
     def propagate(self, x, u, dt):
         out = vector([])
@@ -84,14 +96,6 @@ class Kernels:
 
 def of(estimator):
     """The kernels of an estimator that has begun."""
-    model = estimator._model
-    blank = estimator._module.build(
-        estimator.settings, estimator.site, estimator.sensors, estimator_alignment(estimator)
-    )
-    return Kernels(estimator._module, blank._replace(parameters=model.parameters, memory=model.memory))
-
-
-def estimator_alignment(estimator):
-    from estimators.alignment import Stretch, conclude
-
-    return conclude(Stretch.make(), False, estimator.site, estimator.sensors)
+    model = estimator._bind()
+    known = estimator.settings, estimator.site, estimator.sensors
+    return Kernels(estimator._module, *known, model.parameters, model.memory)

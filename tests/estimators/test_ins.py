@@ -8,7 +8,6 @@ from kernels import Kernels
 from synthetic import SITE, coordinated_turn, error_deg, flight, still
 
 from estimators import SensorInfo, Status, create, earth
-from estimators.alignment import Stretch, conclude
 from estimators.catalogue import _CATALOGUE
 from estimators.models import ins
 from estimators.models.ins.aids import GROUPED, field
@@ -19,11 +18,11 @@ SENSORS = SensorInfo(gyro_noise=3.7e-3 / 50**0.5, accel_noise=0.02 / 50**0.5, gy
 
 def model_of(name, **settings):
     values = checked(name, _CATALOGUE[name].settings, settings)
-    return ins.build(values, SITE, SENSORS, conclude(Stretch.make(), False, SITE, SENSORS))
+    return Kernels(ins, values, SITE, SENSORS)
 
 
-def random_state(start, rng):
-    x = start.x.copy()
+def random_state(model, rng):
+    x = model.x.copy()
     x[:4] = rng.normal(size=4)
     x[:4] /= np.linalg.norm(x[:4])
     x[4:7] = rng.normal(size=3) * 15
@@ -42,9 +41,9 @@ VARIANTS = [("ins15", {}), ("ins21", {}), ("ins21", {"aiding": "gnss+airspeed"})
 
 @pytest.mark.parametrize(("name", "settings"), VARIANTS)
 def test_retract_and_difference_are_inverse(name, settings):
-    start, rng = model_of(name, **settings), np.random.default_rng(1)
-    model, n = Kernels(ins, start), len(start.P)
-    x, _ = random_state(start, rng)
+    model, rng = model_of(name, **settings), np.random.default_rng(1)
+    n = model.size
+    x, _ = random_state(model, rng)
     dx = np.concatenate([rng.normal(size=3) * 0.3, rng.normal(size=3), rng.normal(size=3) * 10, np.zeros(n - 9)])
     np.testing.assert_allclose(model.difference(model.retract(x, dx), x), dx[:9], rtol=1e-5, atol=1e-8)
 
@@ -52,12 +51,12 @@ def test_retract_and_difference_are_inverse(name, settings):
 @pytest.mark.parametrize(("name", "settings"), VARIANTS)
 def test_jacobians_are_differences(name, settings):
     """Central differences on the manifold; Earth rate, Coriolis and curvature terms are left out of F on purpose."""
-    start, rng = model_of(name, **settings), np.random.default_rng(2)
-    model, n = Kernels(ins, start), len(start.P)
+    model, rng = model_of(name, **settings), np.random.default_rng(2)
+    n = model.size
     step = np.concatenate([np.full(3, 1e-5), np.full(3, 1e-3), np.full(3, 1.0), np.full(n - 9, 1e-5)])
     step[18:21] = 1e-9
     for _ in range(3):
-        x, u = random_state(start, rng)
+        x, u = random_state(model, rng)
         F, numeric = model.transition(x, u, DT), np.zeros((9, n))
         for j in range(n):
             ends = []

@@ -212,9 +212,9 @@ def test_smoother_of_a_linear_model_is_that_of_rauch_tung_and_striebel():
 
 def standing():
     """An alignment."""
-    from estimators.alignment import Stretch, conclude
+    from estimators.alignment import Stretch, concluded
 
-    return conclude(Stretch.make(), False, SITE, SENSORS)
+    return concluded(Stretch.make(), False, SITE, SENSORS)
 
 
 def test_smoothed_is_nearer_and_surer_than_filtered():

@@ -7,7 +7,7 @@ import pytest
 from synthetic import SITE, flight, from_euler, still
 
 from estimators import SensorInfo, create
-from estimators.alignment import Stretch, attitude_block, conclude
+from estimators.alignment import Stretch, concluded
 
 SETTINGS = {"align_s": 2.0, "noise": "practical", "scale_share": 0.0}
 
@@ -114,9 +114,9 @@ def test_jacobians_are_the_complex_step(aiding):
 
 
 def test_an_alignment_of_nothing_is_coarse_and_finite():
-    alignment = conclude(Stretch.make(), False, SITE, SensorInfo())
-    assert np.isfinite(alignment.q_nb).all()
-    assert np.isfinite(attitude_block(alignment)).all()
+    alignment = concluded(Stretch.make(), False, SITE, SensorInfo())
+    for name in ("q_nb", "sigma_n", "gyro_bias", "gyro_bias_sigma"):
+        assert np.isfinite(alignment[name]).all()
 
 
 def test_the_covariance_is_symmetric_and_positive_for_hours_of_updates():

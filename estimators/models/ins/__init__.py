@@ -50,3 +50,4 @@ from estimators.models.ins.mechanisation import retract as retract
 from estimators.models.ins.mechanisation import transition as transition
 from estimators.models.ins.start import SETTINGS as SETTINGS
 from estimators.models.ins.start import build as build
+from estimators.models.ins.start import layout as layout

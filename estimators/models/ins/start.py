@@ -7,14 +7,16 @@ from typing import Any
 import numpy as np
 
 from estimators import adaptation
-from estimators.alignment import ALIGNED, Alignment, limits
-from estimators.models.base import GROUPS, Group, Start
-from estimators.models.ins.aids import AIDS, GROUPED, field
+from estimators.alignment import ALIGNED, Alignment, still_limits
+from estimators.jit import inner
+from estimators.models.base import GROUPS, Group, Layout
+from estimators.models.ins.aids import AIDS, GROUPED, configured, field
 from estimators.models.ins.aids.gnss import UP
-from estimators.models.ins.kernels import Memory, Parameters, Readings
-from estimators.models.ins.layout import BA, BG, HI, LARGEST, P_, PHI, SG, WIND, V
+from estimators.models.ins.kernels import Readings
+from estimators.models.ins.layout import BA, BG, HI, LARGEST, P_, PHI, SG, WIND, State, V
+from estimators.native import local
+from estimators.records import Place, Sheet
 from estimators.settings import Setting
-from estimators.types import SensorInfo, Site
 
 SETTINGS = {
     **ALIGNED,
@@ -39,125 +41,126 @@ SETTINGS = {
     **adaptation.settings(),
 }
 
-UP_SHARE = np.array([1.0, 1.0, UP**2]) / np.mean([1.0, 1.0, UP**2])
+UP_SHARE = tuple(float(share / np.mean([1.0, 1.0, UP**2])) for share in (1.0, 1.0, UP**2))
 """Of the data sheet's variance, which is the mean over the axes: north, east, down."""
 
-
-def build(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, alignment: Alignment) -> Start:
-    """Make the model and its first state from settings, place, sensors and alignment."""
-    use_gnss, use_air = "gnss" in settings["aiding"], "airspeed" in settings["aiding"]
-    n = 24 if use_gnss and use_air else int(settings["states"])
-    initial, walks = _sigmas(n, use_gnss, settings, site, sensors)
-    initial[PHI : PHI + 3] = alignment.sigma_n
-    initial[BG : BG + 3] = alignment.gyro_bias_sigma
-    velocity, place = (alignment.vel_n, alignment.lla) if use_gnss else (alignment.air_n, np.full(3, np.nan))
-    known = bool(np.isfinite(velocity).all())  # moving, and how fast
-    initial[V : V + 3] = 0.1 if alignment.still else 3.0 if known else 30.0
-    x = np.zeros(n + 1)
-    x[0:4] = alignment.q_nb
-    x[4:7] = velocity if known else 0.0
-    x[7:10] = place if np.isfinite(place).all() else site.lla
-    x[10:13] = alignment.gyro_bias
-    memory: Any = Memory.nans()
-    memory.count = memory.jerky = memory.shaky = 0.0
-    memory.step_b[:] = memory.shock_b[:] = 0.0
-    memory.good = True
-    restart = np.array(initial)
-    restart[PHI : PHI + 3], restart[V : V + 3] = 0.5, 10.0
-    groups = _groups(n)
-    return Start(
-        parameters=_parameters(n, walks, groups, settings, site, sensors),
-        memory=memory,
-        x=x,
-        P=np.diag(initial**2),
-        P_restart=np.diag(restart**2),
-        changed=9,
-        read=min(n, HI),
-        groups=groups,
-        magnetic=_magnetic(groups),
-    )
+_NONE, _GNSS, _AIRSPEED, _BOTH = range(4)  # of the setting `aiding`
 
 
-def _groups(n: int) -> tuple[Group, ...]:
-    groups = []
-    for aid in GROUPED:
-        start, rows = Readings.dtype.fields[aid.NAME][1] // 8, aid.Readings.dtype.itemsize // 8  # type: ignore[index]
+def _size(settings: Mapping[str, Any]) -> int:
+    return LARGEST if settings["aiding"] == "gnss+airspeed" else int(settings["states"])
+
+
+def layout(settings: Mapping[str, Any]) -> Layout:
+    """Sizes of the model, and the groups of its aids."""
+    n, groups = _size(settings), []
+    for aid, start, rows in zip(GROUPED, _STARTS, _ROWS, strict=True):
         first, end = aid.reads(n)
         groups.append(Group(start, rows, first, end, True))
-    return tuple(groups)
+    field_ = _STARTS[GROUPED.index(field)]
+    return Layout(
+        raw=n + 1, size=n, changed=9, read=min(n, HI), groups=tuple(groups),
+        magnetic=(field_, field_ + 1, 2),  # reported where nothing else is
+    )  # fmt: skip
 
 
-def _magnetic(groups: tuple[Group, ...]) -> tuple[int, int, int]:
-    start = groups[GROUPED.index(field)].start
-    return start, start + 1, 2  # reported where nothing else is
+_STARTS = tuple(Readings.dtype.fields[aid.NAME][1] // 8 for aid in GROUPED)  # type: ignore[index]
+_ROWS = tuple(aid.Readings.dtype.itemsize // 8 for aid in GROUPED)
+_ANGLES = tuple(int(aid.ANGLE) for aid in GROUPED)
+_configure_aids = configured(AIDS)
 
 
-def _sigmas(
-    n: int, use_gnss: bool, settings: Mapping[str, Any], site: Site, sensors: SensorInfo
-) -> tuple[np.ndarray, np.ndarray]:
-    """First sigmas (n,) of what the alignment does not know; variance per second (LARGEST - 9,) of the constants."""
-    horizontal, walk = math.hypot(site.mag_n[0], site.mag_n[1]), settings["bias_time"]
-    initial, walks = np.zeros(n), np.zeros(LARGEST - 9)
-    walks[0:3] = 2.0 * sensors.gyro_instability**2 / walk + 1e-14
-    walks[3:6] = 2.0 * (0.1 * sensors.accel_bias) ** 2 / walk + 1e-12
-    initial[P_ : P_ + 3] = 100.0 if use_gnss else 1.0
-    initial[BA : BA + 3] = math.hypot(sensors.accel_bias, sensors.accel_scale * site.gravity, 1e-3)
-    if n > SG:
-        initial[SG : SG + 3] = max(sensors.gyro_scale, 1e-5)
-        initial[HI : HI + 3] = max(sensors.mag_bias, 1e-4 * horizontal)
-        walks[SG - 9 : SG - 6] = 1e-12
-        walks[HI - 9 : HI - 6] = (1e-3 * horizontal) ** 2 / 100.0
-    if n > WIND:
-        initial[WIND : WIND + 2], initial[WIND + 2] = 8.0, 0.5
-        walks[WIND - 9 : WIND - 7], walks[WIND - 7] = settings["wind_walk"] ** 2, (0.3 * settings["wind_walk"]) ** 2
-    return initial, walks
+def build(
+    settings: Any, site: Place, sensors: Sheet, alignment: Alignment, model: Any, memory: Any, x: State, P: np.ndarray,
+    P_restart: np.ndarray,
+) -> None:  # fmt: skip
+    """Set parameters and first state from settings, place, sensors and alignment."""
+    n = 15 if settings.states == 0 else 21
+    n = LARGEST if settings.aiding == _BOTH else n
+    _set_parameters(n, settings, site, sensors, model)
+    _set_walks(n, settings, site, sensors, model)
+    _configure_aids(settings, site, sensors, model)
+    memory.count = memory.jerky = memory.shaky = 0.0
+    memory.good = True
+    use_gnss = settings.aiding == _GNSS or settings.aiding == _BOTH
+    velocity = alignment.vel_n if use_gnss else alignment.air_n
+    known, placed = True, use_gnss
+    for i in range(3):
+        memory.step_b[i] = memory.shock_b[i] = 0.0
+        known &= math.isfinite(velocity[i])
+        placed &= math.isfinite(alignment.lla[i])
+    for i in range(4):
+        x.q_nb[i] = alignment.q_nb[i]
+    for i in range(3):
+        x.vel_n[i] = velocity[i] if known else 0.0
+        x.lla[i] = alignment.lla[i] if placed else site.lla[i]
+        x.gyro_bias[i] = alignment.gyro_bias[i]
+    sigma = local(LARGEST)
+    _constants(n, use_gnss, site, sensors, sigma)
+    for i in range(3):
+        sigma[PHI + i], sigma[BG + i] = alignment.sigma_n[i], alignment.gyro_bias_sigma[i]
+        sigma[V + i] = 0.1 if alignment.still else 3.0 if known else 30.0
+    for i in range(n):
+        P[i, i] = P_restart[i, i] = sigma[i] ** 2
+    for i in range(3):
+        P_restart[PHI + i, PHI + i], P_restart[V + i, V + i] = 0.5**2, 10.0**2
 
 
-def _parameters(
-    n: int,
-    walks: np.ndarray,
-    groups: tuple[Group, ...],
-    settings: Mapping[str, Any],
-    site: Site,
-    sensors: SensorInfo,
-) -> Any:
-    use_gnss, use_air = "gnss" in settings["aiding"], "airspeed" in settings["aiding"]
+@inner
+def _constants(n: int, use_gnss: bool, site: Place, sensors: Sheet, sigma: np.ndarray) -> None:
+    """First sigmas of what the alignment does not know."""
+    horizontal = math.hypot(site.mag_n[0], site.mag_n[1])
+    accel_bias = math.hypot(math.hypot(sensors.accel_bias, sensors.accel_scale * site.gravity), 1e-3)
+    for i in range(3):
+        sigma[P_ + i] = 100.0 if use_gnss else 1.0
+        sigma[BA + i] = accel_bias
+        sigma[SG + i] = max(sensors.gyro_scale, 1e-5)
+        sigma[HI + i] = max(sensors.mag_bias, 1e-4 * horizontal)
+        sigma[WIND + i] = 8.0 if i < 2 else 0.5
+
+
+@inner
+def _set_walks(n: int, settings: Any, site: Place, sensors: Sheet, model: Any) -> None:
+    """Variances per second of the constants, and of the wind."""
+    horizontal, walks, time = math.hypot(site.mag_n[0], site.mag_n[1]), model.walks, settings.bias_time
+    for i in range(3):
+        walks[BG - 9 + i] = 2.0 * sensors.gyro_instability**2 / time + 1e-14
+        walks[BA - 9 + i] = 2.0 * (0.1 * sensors.accel_bias) ** 2 / time + 1e-12
+        walks[SG - 9 + i] = 1e-12 if n > SG else 0.0
+        walks[HI - 9 + i] = (1e-3 * horizontal) ** 2 / 100.0 if n > SG else 0.0
+        wind = settings.wind_walk if i < 2 else 0.3 * settings.wind_walk
+        walks[WIND - 9 + i] = wind**2 if n > WIND else 0.0
+
+
+@inner
+def _set_parameters(n: int, settings: Any, site: Place, sensors: Sheet, model: Any) -> None:
+    """Set the parameters that are not of one aid."""
+    use_gnss = settings.aiding == _GNSS or settings.aiding == _BOTH
     gyro = sensors.gyro_noise**2 / 2.0  # single-sided density d: variance d^2/2 per second
     accel = sensors.accel_noise**2 / 2.0
-    wind_in_velocity = settings["wind_walk"] ** 2 if use_air and not use_gnss else 0.0
-    place = use_gnss * sensors.gnss_pos**2 * UP_SHARE
-    wander = 2.0 / settings["position_time"] * place
-    turn = settings["turn_share"]
-    gyro_along = 0.0 if n > SG else sensors.gyro_scale_factor
-    force = 2.0 * settings["scale_time"] * (settings["force_share"] * sensors.accel_scale) ** 2
-    still_rate, still_force = limits(sensors)
-    unused = [0] * (GROUPS - len(groups))
-    return Parameters.of(
-        states=n,
-        gravity=site.gravity,
-        origin=site.lla,
-        mag_n=site.mag_n,
-        antenna_b=sensors.antenna_b,
-        gyro_psd=gyro + settings["gyro_noise"] ** 2 / 2.0,
-        rate_noise=2.0 * settings["scale_time"] * (settings["scale_share"] * sensors.gyro_scale) ** 2,
-        accel_psd=accel + settings["accel_noise"] ** 2 / 2.0 + wind_in_velocity,
-        accel_noise2=settings["accel_share"] ** 2 / 2.0 + force,
-        shake_share=settings["shake_share"],
-        shake_most=settings["shake_most"] ** 2 / 2.0,
-        # what the gyro's misalignment tilts in a turn goes for a bias of the accelerometer
-        beside2=(turn * np.array([sensors.gyro_misalignment, sensors.gyro_misalignment + sensors.accel_misalignment]))
-        ** 2,
-        along2=(turn * np.array([gyro_along, sensors.accel_scale_factor])) ** 2,
-        jerk_share=settings["jerk_share"],
-        walks=walks,
-        still_rate=still_rate,
-        still_force=still_force,
-        place_walk=1e-6 + wander,
-        place_wander=place,
-        speed_min=settings["speed_min"],
-        report_place=use_gnss,
-        start=[group.start for group in groups] + unused,
-        rows=[group.rows for group in groups] + unused,
-        angle=[int(aid.ANGLE) for aid in GROUPED] + unused,
-        **{aid.NAME: aid.parameters(settings, site, sensors).data for aid in AIDS},
+    wind_in_velocity = settings.wind_walk**2 if settings.aiding == _AIRSPEED else 0.0
+    force = 2.0 * settings.scale_time * (settings.force_share * sensors.accel_scale) ** 2
+    model.states, model.gravity, model.report_place = n, site.gravity, use_gnss
+    for i in range(3):
+        model.origin[i], model.mag_n[i], model.antenna_b[i] = site.lla[i], site.mag_n[i], sensors.antenna_b[i]
+        model.place_wander[i] = sensors.gnss_pos**2 * UP_SHARE[i] if use_gnss else 0.0
+        model.place_walk[i] = 1e-6 + 2.0 / settings.position_time * model.place_wander[i]
+    model.gyro_psd = gyro + settings.gyro_noise**2 / 2.0
+    model.rate_noise = 2.0 * settings.scale_time * (settings.scale_share * sensors.gyro_scale) ** 2
+    model.accel_psd = accel + settings.accel_noise**2 / 2.0 + wind_in_velocity
+    model.accel_noise2 = settings.accel_share**2 / 2.0 + force
+    model.shake_share, model.shake_most = settings.shake_share, settings.shake_most**2 / 2.0
+    turn, misaligned = settings.turn_share, sensors.gyro_misalignment
+    # what the gyro's misalignment tilts in a turn goes for a bias of the accelerometer
+    model.beside2[0], model.beside2[1] = (
+        (turn * misaligned) ** 2,
+        (turn * (misaligned + sensors.accel_misalignment)) ** 2,
     )
+    model.along2[0] = 0.0 if n > SG else (turn * sensors.gyro_scale_factor) ** 2
+    model.along2[1] = (turn * sensors.accel_scale_factor) ** 2
+    model.jerk_share, model.speed_min = settings.jerk_share, settings.speed_min
+    model.still_rate, model.still_force = still_limits(sensors)
+    for g in range(GROUPS):
+        model.start[g] = model.rows[g] = model.angle[g] = 0
+    for g in range(len(_STARTS)):
+        model.start[g], model.rows[g], model.angle[g] = _STARTS[g], _ROWS[g], _ANGLES[g]

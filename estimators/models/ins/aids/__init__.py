@@ -6,7 +6,8 @@ An aid is a module with
     READS_AS                    the aid in whose measurement group it measures: itself, or another with the same rows
     SETTINGS                    what a user can choose
     Parameters, Memory          records
-    parameters(settings, site, sensors)
+    configure(settings, site, sensors, own)
+                                sets its parameters, all of them
     measure(own, model, row, x, kept, memory, u, z, variance, used)
                                 when it is due: measurements z, their variances and which count; what it gates
 
@@ -50,6 +51,26 @@ def in_turn(aids: tuple[Any, ...]) -> Any:
     def first(model, row, x, memory, u, z, used):  # type: ignore[no-untyped-def]
         one(model, row, x, memory, u, z, used)
         others(model, row, x, memory, u, z, used)
+
+    return first
+
+
+def configured(aids: tuple[Any, ...]) -> Any:
+    """A kernel that sets the parameters of each aid."""
+    own, name = aids[0].configure, aids[0].NAME
+
+    @inner
+    def one(settings, site, sensors, model):  # type: ignore[no-untyped-def]
+        own(settings, site, sensors, model[name])
+
+    if len(aids) == 1:
+        return one
+    others = configured(aids[1:])
+
+    @inner
+    def first(settings, site, sensors, model):  # type: ignore[no-untyped-def]
+        one(settings, site, sensors, model)
+        others(settings, site, sensors, model)
 
     return first
 

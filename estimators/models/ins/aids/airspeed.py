@@ -4,7 +4,6 @@ Without GNSS v itself is the velocity in the air mass.
 """
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,10 +12,9 @@ from estimators.jit import inner
 from estimators.models.ins.layout import P_, PHI, WIND, Kept, Motion, Shared, State, V
 from estimators.native import Flag, Number, Record, Vector3, local
 from estimators.plausible import MAX_SPEED, plausible
-from estimators.records import Sample
+from estimators.records import Place, Sample, Sheet
 from estimators.rotations import attitude_matrix, to_body
 from estimators.settings import Setting
-from estimators.types import SensorInfo, Site
 
 NAME = READS_AS = "airspeed"
 ANGLE, REPORTED = False, True
@@ -55,15 +53,12 @@ class Readings(Record):
     vel_b: Vector3  # m/s
 
 
-def parameters(settings: Mapping[str, Any], site: Site, sensors: SensorInfo) -> Any:
-    """Make the parameters."""
-    return Parameters.of(
-        wanted="airspeed" in settings["aiding"],
-        sigma=settings["speed_sigma"],
-        side=settings["side"],
-        vertical=settings["vertical"],
-        incidence=settings["incidence"],
-    )
+@inner
+def configure(settings: Any, site: Place, sensors: Sheet, own: Parameters) -> None:
+    """Set the parameters."""
+    own.wanted = settings.aiding >= 2  # "airspeed", "gnss+airspeed"
+    own.sigma, own.side, own.vertical = settings.speed_sigma, settings.side, settings.vertical
+    own.incidence = settings.incidence
 
 
 def reads(states: int) -> tuple[int, int]:

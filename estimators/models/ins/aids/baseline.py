@@ -1,6 +1,5 @@
 """Heading of a dual-antenna baseline, with its latency."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,10 +9,9 @@ from estimators.models.ins.layout import PHI, RING_ANGLES, Kept, Motion, Shared,
 from estimators.native import Flag, Number, Record, local
 from estimators.past import recall
 from estimators.plausible import plausible
-from estimators.records import Sample
+from estimators.records import Place, Sample, Sheet
 from estimators.rotations import attitude_matrix, yaw
 from estimators.settings import Setting
-from estimators.types import SensorInfo, Site
 
 NAME = READS_AS = "baseline"
 ANGLE, REPORTED = True, True
@@ -44,9 +42,10 @@ class Readings(Record):
     heading: Number  # rad
 
 
-def parameters(settings: Mapping[str, Any], site: Site, sensors: SensorInfo) -> Any:
-    """Make the parameters."""
-    return Parameters.of(wanted=settings["heading_aid"], factor=settings["heading_share"])
+@inner
+def configure(settings: Any, site: Place, sensors: Sheet, own: Parameters) -> None:
+    """Set the parameters."""
+    own.wanted, own.factor = settings.heading_aid, settings.heading_share
 
 
 def reads(states: int) -> tuple[int, int]:

@@ -4,7 +4,6 @@ A disturbed field must not tilt the horizon. Norm and dip away from the local fi
 """
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,10 +12,9 @@ from estimators.jit import inner
 from estimators.models.ins.layout import HI, PHI, WIND, Kept, Motion, Shared, State
 from estimators.native import Number, Record, local
 from estimators.plausible import MAX_FIELD, plausible
-from estimators.records import Sample
+from estimators.records import Place, Sample, Sheet
 from estimators.rotations import attitude_matrix, to_nav
 from estimators.settings import Setting
-from estimators.types import SensorInfo, Site
 
 NAME = READS_AS = "field"
 ANGLE, REPORTED = True, True
@@ -51,14 +49,13 @@ class Readings(Record):
     azimuth: Number  # rad
 
 
-def parameters(settings: Mapping[str, Any], site: Site, sensors: SensorInfo) -> Any:
-    """Make the parameters."""
-    return Parameters.of(
-        sigma=math.hypot(settings["mag_sigma"], settings["mag_share"] * sensors.mag_bias / math.hypot(*site.mag_n)),
-        period=settings["field_period"],
-        norm_scale=settings["norm_scale"],
-        dip_scale=settings["dip_scale"],
-    )
+@inner
+def configure(settings: Any, site: Place, sensors: Sheet, own: Parameters) -> None:
+    """Set the parameters."""
+    n = site.mag_n
+    strength = math.hypot(math.hypot(n[0], n[1]), n[2])
+    own.sigma = math.hypot(settings.mag_sigma, settings.mag_share * sensors.mag_bias / strength)
+    own.period, own.norm_scale, own.dip_scale = settings.field_period, settings.norm_scale, settings.dip_scale
 
 
 def reads(states: int) -> tuple[int, int]:

@@ -1,7 +1,6 @@
 """GNSS velocity and position, differenced with the state kept from the time of the fix (latency)."""
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,9 +12,8 @@ from estimators.models.ins.mechanisation import acceleration2
 from estimators.native import Flag, Number, Record, Vector3, local
 from estimators.past import recall
 from estimators.plausible import MAX_SPEED, on_earth, plausible
-from estimators.records import Sample
+from estimators.records import Place, Sample, Sheet
 from estimators.settings import Setting
-from estimators.types import SensorInfo, Site
 
 NAME = READS_AS = "gnss"
 ANGLE, REPORTED = False, True
@@ -51,14 +49,13 @@ class Readings(Record):
     place_n: Vector3  # m from the origin
 
 
-def parameters(settings: Mapping[str, Any], site: Site, sensors: SensorInfo) -> Any:
-    """Make the parameters."""
-    return Parameters.of(
-        fitted="gnss" in settings["aiding"],
-        velocity=max(settings["velocity_share"] * sensors.gnss_vel, 1e-3),
-        position=max(settings["position_share"] * sensors.gnss_pos, 1e-3),
-        time2=settings["gnss_time"] ** 2,
-    )
+@inner
+def configure(settings: Any, site: Place, sensors: Sheet, own: Parameters) -> None:
+    """Set the parameters."""
+    own.fitted = settings.aiding == 1 or settings.aiding == 3  # "gnss", "gnss+airspeed"
+    own.velocity = max(settings.velocity_share * sensors.gnss_vel, 1e-3)
+    own.position = max(settings.position_share * sensors.gnss_pos, 1e-3)
+    own.time2 = settings.gnss_time**2
 
 
 def reads(states: int) -> tuple[int, int]:

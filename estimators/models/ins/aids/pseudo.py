@@ -1,15 +1,13 @@
 """Hand-held, no aid at all: v = 0 within 1 m/s and p = start within 1 m. This replaces an inertial low-pass."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from estimators.jit import inner
 from estimators.models.ins.aids.gnss import Readings
 from estimators.models.ins.layout import Kept, Motion, Shared, State
 from estimators.native import Flag, Number, Record
-from estimators.records import Sample
+from estimators.records import Place, Sample, Sheet
 from estimators.settings import Setting
-from estimators.types import SensorInfo, Site
 
 NAME, READS_AS = "pseudo", "gnss"
 PERIOD = 0.1  # s
@@ -29,9 +27,10 @@ class Memory(Record):
     t: Number  # s
 
 
-def parameters(settings: Mapping[str, Any], site: Site, sensors: SensorInfo) -> Any:
-    """Make the parameters."""
-    return Parameters.of(assumed=settings["aiding"] == "none")
+@inner
+def configure(settings: Any, site: Place, sensors: Sheet, own: Parameters) -> None:
+    """Set the parameters."""
+    own.assumed = settings.aiding == 0  # "none"
 
 
 @inner

@@ -1,6 +1,5 @@
 """Standstill: v = 0 and gyro = bias while a second without scatter says so."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,9 +8,8 @@ from estimators.jit import inner
 from estimators.models.ins.layout import BA, BG, Kept, Motion, Shared, State, V
 from estimators.native import Number, Record, Vector3
 from estimators.plausible import MAX_SPEED, plausible
-from estimators.records import Sample
+from estimators.records import Place, Sample, Sheet
 from estimators.settings import Setting
-from estimators.types import SensorInfo, Site
 
 NAME = READS_AS = "still"
 ANGLE, REPORTED = False, False
@@ -41,12 +39,11 @@ class Readings(Record):
     rate_b: Vector3  # rad/s
 
 
-def parameters(settings: Mapping[str, Any], site: Site, sensors: SensorInfo) -> Any:
-    """Make the parameters."""
-    velocity = max(settings["velocity_share"] * sensors.gnss_vel, 1e-3)
-    return Parameters.of(
-        moving=MOVING + 3.0 * velocity, gyro_variance=max(sensors.gyro_noise**2 / 2.0 * sensors.rate, 1e-10)
-    )
+@inner
+def configure(settings: Any, site: Place, sensors: Sheet, own: Parameters) -> None:
+    """Set the parameters."""
+    own.moving = MOVING + 3.0 * max(settings.velocity_share * sensors.gnss_vel, 1e-3)
+    own.gyro_variance = max(sensors.gyro_noise**2 / 2.0 * sensors.rate, 1e-10)
 
 
 def reads(states: int) -> tuple[int, int]:
