@@ -18,6 +18,7 @@ from typing import Annotated
 
 import numpy as np
 
+from estimators.elementary import atan2, hypot
 from estimators.jit import inner
 from estimators.native import (
     Flag,
@@ -363,7 +364,7 @@ def _attitude(s: Stretch, m: Moments, still: bool, site: Place, out: Alignment) 
     has_heading = m.fields > 0.0 and _two_vectors(force, field, expected, site.mag_n, q)
     x, y, z = force[0], force[1], force[2]
     if not has_heading and math.sqrt(x * x + y * y + z * z) > 0.0:
-        from_euler(math.atan2(-y, -z), math.atan2(x, math.hypot(y, z)), 0.0, q)
+        from_euler(atan2(-y, -z), atan2(x, hypot(y, z)), 0.0, q)
     return known, has_heading
 
 
@@ -399,8 +400,8 @@ def conclude(s: Stretch, still: bool, site: Place, sensors: Sheet, out: Alignmen
     if cut:  # a slow turn or a steady push may have passed for standing
         for i in range(3):
             slow = SHORT_TILT / s.kept_s * (_dip_factor(site) if i == 2 else 1.0)
-            out.sigma_n[i] = math.hypot(out.sigma_n[i], slow)
-            out.gyro_bias_sigma[i] = math.hypot(out.gyro_bias_sigma[i], SHORT_RATE / s.kept_s)
+            out.sigma_n[i] = hypot(out.sigma_n[i], slow)
+            out.gyro_bias_sigma[i] = hypot(out.gyro_bias_sigma[i], SHORT_RATE / s.kept_s)
     _covariance(m, 0, m.samples, out.gyro_cov)
     _covariance(m, 1, m.samples, out.accel_cov)
     _covariance(m, 2, m.fields, out.mag_cov)
@@ -415,12 +416,12 @@ def _sigmas(
     heading = AIDED_HEADING if aided else COARSE_HEADING
     sigma = max(sensors.gyro_bias, 1e-4)
     if still:  # biases of the accelerometer tilt it, those of the field and the tilt turn it
-        horizontal = math.hypot(site.mag_n[0], site.mag_n[1])
-        tilt = math.hypot(math.hypot(sensors.accel_bias / site.gravity, sensors.accel_scale), 1e-3)
-        heading = math.hypot(math.hypot(sensors.mag_bias / horizontal, tilt * site.mag_n[2] / horizontal), 5e-3)
+        horizontal = hypot(site.mag_n[0], site.mag_n[1])
+        tilt = hypot(hypot(sensors.accel_bias / site.gravity, sensors.accel_scale), 1e-3)
+        heading = hypot(hypot(sensors.mag_bias / horizontal, tilt * site.mag_n[2] / horizontal), 5e-3)
         per_sample = sensors.gyro_noise * math.sqrt(sensors.rate / 2)
         # the mean rate has the Earth's in it
-        sigma = math.hypot(math.hypot(per_sample / math.sqrt(m.samples), sensors.gyro_instability), 7.3e-5)
+        sigma = hypot(hypot(per_sample / math.sqrt(m.samples), sensors.gyro_instability), 7.3e-5)
     out.sigma_n[0] = out.sigma_n[1] = tilt
     out.sigma_n[2] = heading if has_heading else NO_HEADING
     for i in range(3):
@@ -431,7 +432,7 @@ def _sigmas(
 @inner
 def _dip_factor(site: Place) -> float:
     """Error of heading by that of the vertical it is levelled with."""
-    slope: float = abs(site.mag_n[2]) / max(math.hypot(site.mag_n[0], site.mag_n[1]), 1e-7)
+    slope: float = abs(site.mag_n[2]) / max(hypot(site.mag_n[0], site.mag_n[1]), 1e-7)
     return slope
 
 

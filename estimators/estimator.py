@@ -10,8 +10,9 @@ import numpy as np
 from estimators import adaptation
 from estimators.alignment import Alignment, Stretch
 from estimators.errors import EstimationError, SampleError
+from estimators.filters import points
 from estimators.filters.base import Method
-from estimators.filters.work import Carry, Work
+from estimators.filters.work import POINTS_FROM, SQUARE_ROOT_FROM, WORK, Carry, Work
 from estimators.models.base import Bound
 from estimators.native import joined, loaded, passed, same_integers
 from estimators.records import Place, Sheet, blank_estimates, pack, pack_settings, unpack
@@ -96,21 +97,48 @@ class FilterEstimator:
     def _bind(self) -> Bound:
         """Put the parts together, at the first need: a model's kernels may have to be compiled."""
         if self._model is None:
-            values = self.settings
-            self._model = Bound(self._module, self._module.layout(values), self._method.entries)
-            paper = values.get("initialisation") == "paper" and values["noise"] == "practical"
-            self._parts = {
-                "method": self._method.handle, "policy": self._policy.handle, "model": self._model.handle,
-                "carry": self._carry, "work": self._work, "stretch": self._stretch, "alignment": Alignment.zeros(),
-                "settings": pack_settings(self._module.SETTINGS, values),
-                "rules": pack_settings(adaptation.settings(), values),
-                "site": Place.from_site(self.site), "sensors": Sheet.from_info(self.sensors),
-            }  # fmt: skip
-            numbers = {"align_s": values["align_s"], "wait_s": values["wait_s"], "from_paper": int(paper), "begun": 0}
-            self._instance = joined(Instance, self._parts, numbers)
+            self._model, self._parts, self._instance = self.assemble()
             self._own = passed(self._instance)
             self._forget(*self._own)
         return self._model
+
+    def assemble(self) -> tuple[Bound, dict[str, Any], Any]:
+        """Make the model, all parts by their names in `Instance`, and this record of their addresses."""
+        values = self.settings
+        model = Bound(self._module, self._module.layout(values), self._method.entries)
+        paper = values.get("initialisation") == "paper" and values["noise"] == "practical"
+        parts = {
+            "method": self._method.handle, "policy": self._policy.handle, "model": model.handle,
+            "carry": self._carry, "work": self._work, "stretch": self._stretch, "alignment": Alignment.zeros(),
+            "settings": pack_settings(self._module.SETTINGS, values),
+            "rules": pack_settings(adaptation.settings(), values),
+            "site": Place.from_site(self.site), "sensors": Sheet.from_info(self.sensors),
+        }  # fmt: skip
+        numbers = {"align_s": values["align_s"], "wait_s": values["wait_s"], "from_paper": int(paper), "begun": 0}
+        return model, parts, joined(Instance, parts, numbers)
+
+    def inner_parts(self, model: Bound) -> dict[str, Any]:
+        """The records that handles have addresses of."""
+        return {
+            "method_parameters": self._method.parameters, "policy_parameters": self._policy.parameters,
+            "parameters": model.parameters, "memory": model.memory, "blank": model.blank,
+        }  # fmt: skip
+
+    def work_size(self) -> int:
+        """Bytes of `Work` that the filter needs, from its beginning."""
+        module = self._method.module
+        if hasattr(module, "store"):
+            return WORK.itemsize
+        pointed = module.Parameters is points.Parameters or hasattr(module, "update")
+        return int(WORK.fields[SQUARE_ROOT_FROM if pointed else POINTS_FROM][1])  # type: ignore[index]
+
+    def row_length(self) -> int:
+        """The least length of rows (`native.CAPACITY`) that this method needs."""
+        module, layout = self._module, self._module.layout(self.settings)
+        records = (module.State, module.Inputs, module.Readings, module.Used)
+        numbers = [max(k.fields[n][1] + k.fields[n][0].itemsize for n in k.names) for k in (r.dtype for r in records)]
+        longest = max(numbers[:3]) // 8
+        return int(max(8, longest, numbers[3], layout.raw, layout.size))
 
     @property
     def parameters(self) -> Any:

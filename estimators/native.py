@@ -15,6 +15,7 @@ With `NUMBA_DISABLE_JIT=1` the same calls run plain Python.
 
 import ctypes
 import hashlib
+import os
 import pickle
 import sys
 import tempfile
@@ -35,8 +36,11 @@ from numba.np.arrayobj import populate_array
 
 from estimators.jit import FOLDER, JIT, inner
 
-CAPACITY = 72
-"""Most components of a state or an error; every matrix of the loop has rows of this length (nine cache lines)."""
+CAPACITY = int(os.environ.get("AHRS_SIM_ROW", "72"))
+"""Most components of a state or an error; every matrix of the loop has rows of this length (nine cache lines).
+
+Code that is exported (`emit`) has rows as long as its method needs.
+"""
 
 Kernel: TypeAlias = Callable[..., Any]
 """A function that Numba compiles, or the body of a C function."""
@@ -429,7 +433,7 @@ def _generate_call(name: str) -> Callable[..., Any]:
 
 
 _C_RESULT = {
-    types.none: ir.VoidType(),
+    types.none: cgutils.voidptr_t,  # what a C function of Numba's returns: some machines compare types
     types.boolean: ir.IntType(64),
     types.int64: ir.IntType(64),
     types.float64: ir.DoubleType(),
@@ -479,12 +483,17 @@ _ARGUMENTS = {"p": types.voidptr, "i": types.int64, "f": types.float64}
 _RETURNS = {None: types.void, bool: types.int64, int: types.int64, float: types.float64}
 
 
-def _compile(function: Callable[..., Any], arguments: str, returns: Any) -> tuple[str, Any]:
+def cfunc(function: Callable[..., Any], arguments: str, returns: Any) -> Any:
+    """Numba's C function of a body."""
     kind = _RETURNS[returns](*[_ARGUMENTS[letter] for letter in arguments])
     options: Any = {"error_model": "numpy", "_nrt": False}  # without reference counts: a kernel cannot allocate
+    return numba.cfunc(kind, **options)(function)
+
+
+def _compile(function: Callable[..., Any], arguments: str, returns: Any) -> tuple[str, Any]:
     for listener in listeners:
         listener()
-    made: Any = numba.cfunc(kind, **options)(function)
+    made = cfunc(function, arguments, returns)
     name, _, (code, _) = made._library.serialize_using_object_code()
     nothing = llvm.parse_assembly("").as_bitcode()
     return made.native_name, (name, "object", (code, nothing))

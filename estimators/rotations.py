@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from estimators.elementary import asin, atan2, cos, hypot, modulo, sin
 from estimators.jit import njit
 from estimators.native import local
 
@@ -29,8 +30,8 @@ def exp_terms(angle2: float) -> tuple[float, float, float]:
         slope = -1.0 / 24 + angle2 * (1.0 / 960 + angle2 * (-1.0 / 107520 + angle2 / 23224320))
         return cosine, sine, slope
     angle = math.sqrt(angle2)
-    cosine = math.cos(0.5 * angle)
-    sine = math.sin(0.5 * angle) / angle
+    cosine = cos(0.5 * angle)
+    sine = sin(0.5 * angle) / angle
     return cosine, sine, (0.5 * cosine - sine) / angle2
 
 
@@ -85,7 +86,7 @@ def rotation_between(p: Quaternion, q: Quaternion, out: np.ndarray) -> None:
         scale = 2.0 / a * (1.0 + y * (1.0 / 3 + y * (1.0 / 5 + y * (1.0 / 7 + y * tail))))
     else:
         sine = math.sqrt(square)
-        scale = 2.0 * math.atan2(sine, a) / sine
+        scale = 2.0 * atan2(sine, a) / sine
     out[0] = scale * b
     out[1] = scale * c
     out[2] = scale * d
@@ -187,24 +188,24 @@ def from_matrix(C_bn: np.ndarray, out: np.ndarray) -> None:
 @njit
 def yaw(q: np.ndarray) -> float:
     """Heading (rad, -pi..pi) of q_nb."""
-    return math.atan2(2.0 * (q[0] * q[3] + q[1] * q[2]), 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3]))
+    return atan2(2.0 * (q[0] * q[3] + q[1] * q[2]), 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3]))
 
 
 @njit
 def euler(q: np.ndarray) -> tuple[float, float, float]:
     """Roll, pitch, yaw (rad, yaw in -pi..pi) of q_nb: Han 2013, eq. (17) with its names set right."""
     a, b, c, d = q[0], q[1], q[2], q[3]
-    roll = math.atan2(2.0 * (a * b + c * d), 1.0 - 2.0 * (b * b + c * c))
-    pitch = math.asin(min(1.0, max(-1.0, 2.0 * (a * c - b * d))))
+    roll = atan2(2.0 * (a * b + c * d), 1.0 - 2.0 * (b * b + c * c))
+    pitch = asin(min(1.0, max(-1.0, 2.0 * (a * c - b * d))))
     return roll, pitch, yaw(q)
 
 
 @njit
 def from_euler(roll: float, pitch: float, yaw: float, out: np.ndarray) -> None:
     """`out = q_nb` of roll, pitch, yaw (rad)."""
-    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
-    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
-    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    cr, sr = cos(0.5 * roll), sin(0.5 * roll)
+    cp, sp = cos(0.5 * pitch), sin(0.5 * pitch)
+    cy, sy = cos(0.5 * yaw), sin(0.5 * yaw)
     out[0] = cr * cp * cy + sr * sp * sy
     out[1] = sr * cp * cy - cr * sp * sy
     out[2] = cr * sp * cy + sr * cp * sy
@@ -216,7 +217,7 @@ def wrap(angle: float) -> float:
     """`angle` in (-pi, pi]."""
     if -math.pi < angle <= math.pi:
         return angle
-    return math.pi - (math.pi - angle) % (2.0 * math.pi)
+    return math.pi - modulo(math.pi - angle, 2.0 * math.pi)
 
 
 @njit
@@ -226,7 +227,7 @@ def triad(down_b: np.ndarray, mag_b: np.ndarray, mag_n: np.ndarray, out: np.ndar
     `down_b`, `mag_b` and `mag_n` need not be unit vectors; `mag_n` carries the declination. False, and `out` untouched,
     when a vector vanishes or the field is vertical.
     """
-    north = math.hypot(mag_n[0], mag_n[1])
+    north = hypot(mag_n[0], mag_n[1])
     length = math.sqrt(down_b[0] ** 2 + down_b[1] ** 2 + down_b[2] ** 2)
     if not (north > 0.0 and length > 0.0):
         return False
@@ -256,7 +257,7 @@ def rotation_slopes(rx: float, ry: float, rz: float, E: np.ndarray, J: np.ndarra
         sine, cosine, cubic = 1.0 - a2 / 6.0 + a2 * a2 / 120.0, 0.5 - a2 / 24.0, 1.0 / 6.0 - a2 / 120.0
     else:
         a = math.sqrt(a2)
-        sine, cosine, cubic = math.sin(a) / a, (1.0 - math.cos(a)) / a2, (a - math.sin(a)) / (a2 * a)
+        sine, cosine, cubic = sin(a) / a, (1.0 - cos(a)) / a2, (a - sin(a)) / (a2 * a)
     # products of r with itself: [r x]^2 = r r^T - a2 I
     E[0, 0], E[1, 1], E[2, 2] = (
         1.0 + cosine * (rx * rx - a2),

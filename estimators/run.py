@@ -13,6 +13,7 @@ from estimators.adaptation.base import POLICY, PolicyHandle, admit, configure
 from estimators.adaptation.base import begin as begin_trust
 from estimators.alignment import ALIGNMENT, LONGEST_GAP, STILL, STRETCH, conclude, still_limits, take
 from estimators.alignment import begin as begin_stretch
+from estimators.elementary import ceil
 from estimators.filters.base import METHOD, FilterHandle, predict, reported, store, update
 from estimators.filters.work import CARRY, WORK, Carry, Work
 from estimators.jit import inner
@@ -144,7 +145,7 @@ def _step(
     load(model, row, carry.x, carry.u)
     steps = 1 if dt <= MAX_STEP else 0  # none at the first row of all, where dt is NaN
     if dt > MAX_STEP:
-        steps = min(MAX_STEPS, math.ceil(dt / MAX_STEP))
+        steps = min(MAX_STEPS, ceil(dt / MAX_STEP))
     ok = True
     for _ in range(steps):
         ok = ok and predict(method, model, carry.x, carry.P, carry.u, dt / steps, work)

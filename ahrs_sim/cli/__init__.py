@@ -19,6 +19,7 @@ from ahrs_sim.cli import (
     choose,
     compare,
     export,
+    export_code,
     fly,
     info,
     listing,
@@ -36,7 +37,7 @@ from estimators.errors import EstimationError
 # in the order of `ahrs-sim --help`
 _COMMANDS = (
     fly, serve, replay, compare, info, export, recover, allan, check, campaign, certify, choose, budget, bound, tune,
-    papers, aircraft, new, listing, schema,
+    papers, aircraft, new, export_code, listing, schema,
 )  # fmt: skip
 
 

@@ -10,12 +10,12 @@ disturbed sample refuses those of the next `hold` as well (alternating currents 
 is the field that says where north is.
 """
 
-import math
 from typing import Any
 
 import numpy as np
 
 from estimators.adaptation.base import KEPT, Sensors
+from estimators.elementary import atan2, hypot
 from estimators.models.base import Handle
 from estimators.native import Flag, Number, Record, local
 from estimators.records import Place, Sample
@@ -67,10 +67,10 @@ def admit(policy: Parameters, model: Handle, row: Sample, x: np.ndarray, trust: 
         return False
     m, now = local(3), row.t + 1.0
     to_nav(x, row.mag_b[0], row.mag_b[1], row.mag_b[2], m)
-    level = math.hypot(m[0], m[1])
-    off = abs(math.hypot(level, m[2]) / policy.strength - 1.0) > policy.norm
-    off |= abs(math.atan2(m[2], level) - policy.down) > policy.dip
-    off |= abs(wrap(math.atan2(m[1], m[0]) - policy.azimuth)) > policy.turn
+    level = hypot(m[0], m[1])
+    off = abs(hypot(level, m[2]) / policy.strength - 1.0) > policy.norm
+    off |= abs(atan2(m[2], level) - policy.down) > policy.dip
+    off |= abs(wrap(atan2(m[1], m[0]) - policy.azimuth)) > policy.turn
     if off:
         trust.bad = now
     elif trust.bad == 0.0 or now - trust.bad >= policy.hold:
@@ -88,8 +88,8 @@ def admit(policy: Parameters, model: Handle, row: Sample, x: np.ndarray, trust: 
 def configure(settings: Any, site: Place, policy: Parameters) -> None:
     """Set the parameters from the settings `magnetic_*` and the local field."""
     north, east, down = site.mag_n[0], site.mag_n[1], site.mag_n[2]
-    level = math.hypot(north, east)
+    level = hypot(north, east)
     policy.norm, policy.dip, policy.turn = settings.magnetic_norm, settings.magnetic_dip, settings.magnetic_turn
     policy.hold, policy.patience = settings.magnetic_hold, settings.magnetic_patience
-    policy.strength, policy.down = math.hypot(level, down), math.atan2(down, level)
-    policy.azimuth = math.atan2(east, north)
+    policy.strength, policy.down = hypot(level, down), atan2(down, level)
+    policy.azimuth = atan2(east, north)

@@ -30,7 +30,7 @@ class Carry(Record):
 
 
 class Work(Record):
-    """Memory of one filter step, so that no step allocates."""
+    """Memory of one filter step, so that no step allocates; what simpler filters do not need lies behind."""
 
     before: Vector  # the state before the step
     x: Vector  # a state
@@ -44,19 +44,21 @@ class Work(Record):
     J: Matrix  # a Jacobian (rows, size)
     T: Matrix  # its product with P
     L: Matrix  # leading columns of the Cholesky factor, one to a row
-    odd: Matrix  # (points, rows) f(+) - f(-) of each pair of points
-    even: Matrix  # (points, rows) f(+) + f(-) - 2 f(0)
     S: Matrix  # (rows, rows) covariance of the measurements, lower half
     C: Matrix  # (rows, size) covariance of measurements and state
     noise: Matrix  # (rows, rows) measurement noise as the policy weighs it, lower half
     scratch: Matrix  # of the policy
     P: Matrix  # a covariance
-    Q: Matrix  # process noise of square-root filters
+    odd: Matrix  # (points, rows) f(+) - f(-) of each pair of points
+    even: Matrix  # (points, rows) f(+) + f(-) - 2 f(0)
     steps: Many  # errors to the points, + and - in turns
     points: Many  # the points
     moved: Many  # the points propagated
     ends: Many  # errors or predictions of the points
+    Q: Matrix  # process noise of square-root filters
     A: Annotated[np.ndarray, shaped(_POINTS, 4 * CAPACITY + 1)]  # columns to be compressed by square-root filters
 
 
 CARRY, WORK = Carry.dtype, Work.dtype
+POINTS_FROM, SQUARE_ROOT_FROM = "odd", "Q"
+"""Where the memory begins that only filters with points need, and only square-root filters."""

@@ -29,6 +29,7 @@ import numpy as np
 from estimators import adaptation
 from estimators.alignment import ALIGNED, Alignment, turned_sigmas
 from estimators.earth import EARTH_RATE, GRAVITY_GRADIENT, apart, frame_rates, move, normal_gravity, radii
+from estimators.elementary import atan2, cos, hypot, sin, tan
 from estimators.jit import inner
 from estimators.models.attitude_error import mean_rate
 from estimators.models.base import FLAGS, STATE, Group, Layout, report_attitude
@@ -216,9 +217,9 @@ def _measure_course(
 ) -> None:
     """Course over ground less the wind, turned on by what the heading has turned since."""
     north, east = row.vel_n[0] - model.wind_n[0], row.vel_n[1] - model.wind_n[1]
-    speed = math.hypot(north, east)
+    speed = hypot(north, east)
     if speed >= model.course_speed:
-        z.course = math.atan2(east, north) + turned
+        z.course = atan2(east, north) + turned
         u.course_variance = model.velocity_variance / (speed * speed) + model.drift_variance
         used.course = True
         memory.heading_t = row.t
@@ -253,10 +254,10 @@ def transition(model: Parameters, x: State, u: Inputs, dt: float, F: np.ndarray)
             F[a, k] = 0.0
     latitude, height = x.lla[0], x.lla[2]
     along, across = radii(latitude)
-    r_n, r_e, tangent = 1.0 / (along + height), 1.0 / (across + height), math.tan(latitude)
+    r_n, r_e, tangent = 1.0 / (along + height), 1.0 / (across + height), tan(latitude)
     north, east, down = x.vel_n[0], x.vel_n[1], x.vel_n[2]
-    wn, we = 2.0 * EARTH_RATE * math.cos(latitude) + east * r_e, -north * r_n
-    wd = -2.0 * EARTH_RATE * math.sin(latitude) - east * r_e * tangent
+    wn, we = 2.0 * EARTH_RATE * cos(latitude) + east * r_e, -north * r_n
+    wd = -2.0 * EARTH_RATE * sin(latitude) - east * r_e * tangent
     half, E, J, C, M, w = local(4), local(3, 3), local(3, 3), local(3, 3), local(3, 3), u.rate_b
     turn(x.q_nb, w[0] * dt, w[1] * dt, w[2] * dt, half)
     attitude_matrix(half, C)  # C_bn at the end of the step

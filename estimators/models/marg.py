@@ -32,6 +32,7 @@ import numpy as np
 from estimators import adaptation
 from estimators.alignment import SETTINGS as ALIGNMENT
 from estimators.alignment import Alignment, attitude_block
+from estimators.elementary import cos, exp, hypot, sin
 from estimators.jit import inner
 from estimators.models.base import FLAGS, STATE, Group, Layout, report_attitude
 from estimators.native import Flags3, Integer, Matrix3, Number, Record, Vector3, Vector4, local
@@ -288,7 +289,7 @@ def _load_air(model: Parameters, row: Sample, memory: Memory, u: Inputs) -> None
         if not age <= AID_TIMEOUT:  # the first, or the first after a pause: no derivative yet
             memory.slow = speed
         elif age > 0.0:
-            memory.slow += (1.0 - math.exp(-age / model.speed_filter)) * (speed - memory.slow)
+            memory.slow += (1.0 - exp(-age / model.speed_filter)) * (speed - memory.slow)
         memory.speed_dot = (speed - memory.slow) / model.speed_filter
         memory.speed = speed
         memory.alpha = row.alpha if math.isfinite(row.alpha) else model.incidence
@@ -298,7 +299,7 @@ def _load_air(model: Parameters, row: Sample, memory: Memory, u: Inputs) -> None
     if not speed >= model.speed_min:
         speed, speed_up = 0.0, 0.0
     alpha, beta = memory.alpha, memory.beta
-    ahead, right, down = math.cos(alpha) * math.cos(beta), math.sin(beta), math.sin(alpha) * math.cos(beta)
+    ahead, right, down = cos(alpha) * cos(beta), sin(beta), sin(alpha) * cos(beta)
     u.vel_b[0], u.vel_b[1], u.vel_b[2] = speed * ahead, speed * right, speed * down
     u.vel_dot_b[0], u.vel_dot_b[1], u.vel_dot_b[2] = speed_up * ahead, speed_up * right, speed_up * down
 
@@ -320,7 +321,7 @@ def _load_gnss(row: Sample, x: State, memory: Memory, u: Inputs) -> None:
     rate_n, a = local(3), memory.accel_n
     to_nav(x.q_nb, x.rate_b[0], x.rate_b[1], x.rate_b[2], rate_n)
     angle = min(1.0, max(-1.0, rate_n[2] * (row.t - memory.accel_t)))  # the acceleration turns with the vehicle
-    cosine, sine = math.cos(angle), math.sin(angle)
+    cosine, sine = cos(angle), sin(angle)
     u.accel_n[0] = cosine * a[0] - sine * a[1]
     u.accel_n[1] = sine * a[0] + cosine * a[1]
     u.accel_n[2] = a[2]
@@ -415,7 +416,7 @@ def build(
 ) -> None:  # fmt: skip
     """Set parameters and first state from settings, place, sensors and alignment."""
     practical = 1.0 if _noise(settings, sensors, alignment, model) else 0.0
-    horizontal = math.hypot(site.mag_n[0], site.mag_n[1])
+    horizontal = hypot(site.mag_n[0], site.mag_n[1])
     for i in range(3):
         model.gravity_n[i], model.mag_n[i] = 0.0, site.mag_n[i]
     model.gravity_n[2] = -site.gravity

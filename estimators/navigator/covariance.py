@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from estimators.elementary import exp
 from estimators.jit import njit
 from estimators.navigator.layout import (
     COUPLED,
@@ -58,7 +59,7 @@ def move(model: Any, c: np.ndarray, P: np.ndarray, batch: Any, work: Any) -> Non
         P[VEL + i, VEL + i] += batch.total[FORCE_VARIANCE]
     for i in range(6, N):
         if model.decay[i] > 0.0:
-            keep = work.keep[i] = math.exp(-model.decay[i] * seconds)
+            keep = work.keep[i] = exp(-model.decay[i] * seconds)
             c[i] *= keep
             for j in range(N):
                 P[i, j] *= keep

@@ -13,6 +13,7 @@ import numpy as np
 from estimators.alignment import MEAN_RATE
 from estimators.earth import frame_rates
 from estimators.earth import move as moved
+from estimators.elementary import ceil
 from estimators.jit import njit
 from estimators.navigator.aids import (
     MAX_FIELD,
@@ -158,7 +159,7 @@ def predict(model: Any, carry: Any, work: Any, dt: float, k: int) -> Triple:
     f_n = nav_vector(nominal.q, f[0], f[1], f[2])
     rate2 = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
     a2 = f_n[0] * f_n[0] + f_n[1] * f_n[1] + (f_n[2] + model.gravity) ** 2
-    steps = 1 if dt <= MAX_STEP else min(MAX_STEPS, math.ceil(dt / MAX_STEP))
+    steps = 1 if dt <= MAX_STEP else min(MAX_STEPS, ceil(dt / MAX_STEP))
     part = dt / steps
     psd = model.gyro_psd + model.rate_noise * rate2 + model.jerk_share * part * memory.seen[JERK]
     if not good or dt > MAX_STEP:

@@ -8,6 +8,7 @@ import numpy as np
 
 from estimators import adaptation
 from estimators.alignment import ALIGNED, Alignment, still_limits
+from estimators.elementary import hypot
 from estimators.jit import inner
 from estimators.models.base import GROUPS, Group, Layout
 from estimators.models.ins.aids import AIDS, GROUPED, configured, field
@@ -109,8 +110,8 @@ def build(
 @inner
 def _constants(n: int, use_gnss: bool, site: Place, sensors: Sheet, sigma: np.ndarray) -> None:
     """First sigmas of what the alignment does not know."""
-    horizontal = math.hypot(site.mag_n[0], site.mag_n[1])
-    accel_bias = math.hypot(math.hypot(sensors.accel_bias, sensors.accel_scale * site.gravity), 1e-3)
+    horizontal = hypot(site.mag_n[0], site.mag_n[1])
+    accel_bias = hypot(hypot(sensors.accel_bias, sensors.accel_scale * site.gravity), 1e-3)
     for i in range(3):
         sigma[P_ + i] = 100.0 if use_gnss else 1.0
         sigma[BA + i] = accel_bias
@@ -122,7 +123,7 @@ def _constants(n: int, use_gnss: bool, site: Place, sensors: Sheet, sigma: np.nd
 @inner
 def _set_walks(n: int, settings: Any, site: Place, sensors: Sheet, model: Any) -> None:
     """Variances per second of the constants, and of the wind."""
-    horizontal, walks, time = math.hypot(site.mag_n[0], site.mag_n[1]), model.walks, settings.bias_time
+    horizontal, walks, time = hypot(site.mag_n[0], site.mag_n[1]), model.walks, settings.bias_time
     for i in range(3):
         walks[BG - 9 + i] = 2.0 * sensors.gyro_instability**2 / time + 1e-14
         walks[BA - 9 + i] = 2.0 * (0.1 * sensors.accel_bias) ** 2 / time + 1e-12

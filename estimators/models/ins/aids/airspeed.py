@@ -3,11 +3,11 @@
 Without GNSS v itself is the velocity in the air mass.
 """
 
-import math
 from typing import Any
 
 import numpy as np
 
+from estimators.elementary import cos, sin
 from estimators.jit import inner
 from estimators.models.ins.layout import P_, PHI, WIND, Kept, Motion, Shared, State, V
 from estimators.native import Flag, Number, Record, Vector3, local
@@ -81,9 +81,9 @@ def measure(
         side, beta = VANE, row.beta
     if plausible(row.alpha, 1.5):
         vertical, alpha = VANE, row.alpha
-    z.vel_b[0] = speed * math.cos(alpha) * math.cos(beta)
-    z.vel_b[1] = speed * math.sin(beta)
-    z.vel_b[2] = speed * math.sin(alpha) * math.cos(beta)
+    z.vel_b[0] = speed * cos(alpha) * cos(beta)
+    z.vel_b[1] = speed * sin(beta)
+    z.vel_b[2] = speed * sin(alpha) * cos(beta)
     variance.vel_b[0] = own.sigma**2
     variance.vel_b[1] = (side * speed) ** 2
     variance.vel_b[2] = (vertical * speed) ** 2

@@ -3,11 +3,11 @@
 A disturbed field must not tilt the horizon. Norm and dip away from the local field inflate the noise.
 """
 
-import math
 from typing import Any
 
 import numpy as np
 
+from estimators.elementary import atan2, hypot
 from estimators.jit import inner
 from estimators.models.ins.layout import HI, PHI, WIND, Kept, Motion, Shared, State
 from estimators.native import Number, Record, local
@@ -53,8 +53,8 @@ class Readings(Record):
 def configure(settings: Any, site: Place, sensors: Sheet, own: Parameters) -> None:
     """Set the parameters."""
     n = site.mag_n
-    strength = math.hypot(math.hypot(n[0], n[1]), n[2])
-    own.sigma = math.hypot(settings.mag_sigma, settings.mag_share * sensors.mag_bias / strength)
+    strength = hypot(hypot(n[0], n[1]), n[2])
+    own.sigma = hypot(settings.mag_sigma, settings.mag_share * sensors.mag_bias / strength)
     own.period, own.norm_scale, own.dip_scale = settings.field_period, settings.norm_scale, settings.dip_scale
 
 
@@ -88,17 +88,17 @@ def measure(
         u.mag_b[i] = row.mag_b[i]
     m, n = local(3), model.mag_n
     _field_n(model, x, u, m)
-    horizontal, known = math.hypot(m[0], m[1]), math.hypot(n[0], n[1])
-    norm, norm_n = math.hypot(horizontal, m[2]), math.hypot(known, n[2])
+    horizontal, known = hypot(m[0], m[1]), hypot(n[0], n[1])
+    norm, norm_n = hypot(horizontal, m[2]), hypot(known, n[2])
     if not horizontal > 0.01 * norm:
         return
     # how far from the local field, in units that each double the noise
     off = (norm / norm_n - 1.0) / own.norm_scale
-    dip = (math.atan2(m[2], horizontal) - math.atan2(n[2], known)) / own.dip_scale
+    dip = (atan2(m[2], horizontal) - atan2(n[2], known)) / own.dip_scale
     wrong = off * off + dip * dip
     kept.inflation = 1.0 + wrong + 0.1 * wrong * wrong
     sigma = own.sigma * norm_n / known
-    z.azimuth = math.atan2(n[1], n[0])
+    z.azimuth = atan2(n[1], n[0])
     variance.azimuth = sigma * sigma * kept.inflation
     used.azimuth = 1
     memory.mag_t = row.t
@@ -109,7 +109,7 @@ def observe(own: Parameters, model: Shared, x: State, u: Motion, y: np.ndarray) 
     """Azimuth of the field as read."""
     m = local(3)
     _field_n(model, x, u, m)
-    y[0] = math.atan2(m[1], m[0])
+    y[0] = atan2(m[1], m[0])
 
 
 @inner

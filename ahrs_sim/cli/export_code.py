@@ -1,0 +1,38 @@
+"""`ahrs-sim export-code METHOD --target T -o DIR`: an estimator as native code, without Python."""
+
+import argparse
+from pathlib import Path
+
+from ahrs_sim.cli.common import Commands
+
+_TARGETS = ("x86_64-linux", "aarch64-linux", "cortex-m4f", "cortex-m7", "wasm32", "riscv32")
+
+
+def add_parser(commands: Commands) -> argparse.ArgumentParser:
+    """Add the command and its options."""
+    command = commands.add_parser("export-code", help="an estimator of the catalogue as native code behind a C header")
+    command.add_argument("method", metavar="METHOD", help="of the catalogue: ahrs-sim list estimators")
+    command.add_argument("--target", choices=_TARGETS, default="x86_64-linux", help="default: x86_64-linux")
+    command.add_argument("--suite", default="chr", metavar="NAME", help="whose data sheet is built in (default: chr)")
+    command.add_argument("--scenario", default="circuit", metavar="NAME", help="that has the suite (default: circuit)")
+    command.add_argument(
+        "--setting", action="append", default=[], metavar="NAME=VALUE", help="of the method; may be repeated"
+    )
+    command.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="a new folder")
+    return command
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Write the folder and print its files and sizes."""
+    from ahrs_sim.plugins import export
+
+    known = export.method(arguments.method).settings
+    settings = export.parsed(known, arguments.setting)
+    sensors = export.suite_info(arguments.suite, arguments.scenario)
+    made = export.export(arguments.method, settings, arguments.suite, sensors, arguments.target, arguments.output)
+    for path in sorted(arguments.output.iterdir()):
+        print(path)
+    print(
+        f"{arguments.method} for {arguments.target}: {made.text / 1000:.1f} kB of code, "
+        f"{made.constant / 1000:.1f} kB of constants, {made.memory / 1000:.1f} kB of static memory"
+    )

@@ -1,0 +1,260 @@
+"""An estimator of the catalogue as object code for another machine: its kernels, linked, without Python.
+
+    emitted = emit("marg-ekf", {"aiding": "airspeed"}, sensors, TARGETS["cortex-m7"])
+    emitted.code        # an object file: ahrs_kernel_process, ahrs_kernel_forget and what they call
+    emitted.blocks      # the memory that they work on, with its first contents
+
+Numba compiles for the machine it runs on, and has no intermediate code of what comes from its cache. A process of its
+own therefore compiles the kernels afresh, without optimisation and with rows only as long as this method needs, and
+LLVM does the rest for the target. The arithmetic is the same: nothing is contracted or reordered, and all functions
+that differ from one C library to the next are those of `estimators.elementary`.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from estimators.errors import SettingError
+from estimators.types import SensorInfo, Site
+
+
+class Target(NamedTuple):
+    """A machine, as LLVM knows it."""
+
+    triple: str
+    cpu: str = ""
+    features: str = ""
+    abi: str = ""
+    relocation: str = "static"
+    has_sqrt: bool = True  # an instruction for the square root of a double
+
+
+TARGETS = {
+    "x86_64-linux": Target("x86_64-unknown-linux-gnu", relocation="pic"),
+    "aarch64-linux": Target("aarch64-unknown-linux-gnu", relocation="pic"),
+    "cortex-m4f": Target("thumbv7em-unknown-none-eabihf", "cortex-m4", has_sqrt=False),
+    "cortex-m7": Target("thumbv7em-unknown-none-eabihf", "cortex-m7", "+fp-armv8d16"),
+    "wasm32": Target("wasm32-unknown-unknown"),
+    "riscv32": Target("riscv32-unknown-elf", "generic-rv32", "+m,+a,+c,+f,+d", "ilp32d"),
+}
+"""Machines that code can be exported for, by name."""
+
+PREFIX = "ahrs_kernel_"
+
+
+@dataclass(frozen=True)
+class Block:
+    """A piece of memory."""
+
+    size: int  # bytes
+    image: bytes  # its first contents; empty: zeros
+    addresses: Mapping[int, str]  # by offset, what a field points to: a block or a kernel
+    constant: bool = False  # never written
+
+
+@dataclass(frozen=True)
+class Emitted:
+    """An estimator for a target."""
+
+    code: bytes  # object file
+    blocks: Mapping[str, Block]
+    needs: tuple[str, ...]  # functions that it calls and does not have
+    text: int  # bytes of instructions and constants
+
+    @property
+    def memory(self) -> int:
+        """Bytes of static memory."""
+        return sum(block.size for block in self.blocks.values() if not block.constant)
+
+    @property
+    def constant(self) -> int:
+        """Bytes of the memory's first contents."""
+        return sum(len(block.image) for block in self.blocks.values())
+
+
+def emit(name: str, settings: Mapping[str, Any], site: Site, sensors: SensorInfo, target: Target) -> Emitted:
+    """Compile a method with checked settings for a target.
+
+    Raises:
+        SettingError: a method that is no filter on a model of the catalogue.
+    """
+    from estimators.catalogue import create
+    from estimators.estimator import FilterEstimator
+
+    made = create(name, site=site, sensors=sensors, **settings)
+    if not isinstance(made, FilterEstimator):
+        raise SettingError(
+            f"{name} cannot be exported as code: its loop is not one of a filter on a model ({type(made).__name__})"
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {
+            **os.environ, "NUMBA_CACHE_DIR": folder, "NUMBA_OPT": "0", "NUMBA_LOOP_VECTORIZE": "0",
+            "NUMBA_SLP_VECTORIZE": "0", "NUMBA_DISABLE_JIT": "0", "AHRS_SIM_ROW": str(made.row_length()),
+            "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]),
+        }  # fmt: skip
+        task = {"name": name, "settings": dict(settings), "site": asdict(site), "sensors": asdict(sensors)}
+        task |= {"target": target._asdict(), "folder": folder}
+        command = [sys.executable, "-W", "ignore", "-c", "from estimators.emit import _main; _main()"]
+        ran = subprocess.run(command, input=json.dumps(task), env=environment, capture_output=True, text=True)
+        if ran.returncode != 0:
+            raise RuntimeError(f"{name} cannot be emitted: {ran.stderr.strip()}")
+        found = json.loads((Path(folder) / "blocks.json").read_text())
+        code = (Path(folder) / "code.o").read_bytes()
+    blocks = {
+        key: Block(b["size"], bytes.fromhex(b["image"]), {int(k): v for k, v in b["addresses"].items()}, b["constant"])
+        for key, b in found["blocks"].items()
+    }
+    return Emitted(code, blocks, tuple(found["needs"]), found["text"])
+
+
+# In the process of its own
+
+
+def _main() -> None:
+    task = json.loads(sys.stdin.read())
+    from estimators import native
+
+    kernels: dict[str, tuple[str, str]] = {}  # by entry: symbol, intermediate code
+
+    def collected(name: str, function: Any, arguments: str, returns: Any) -> int:
+        entry = name.rpartition(".")[2]
+        made = native.cfunc(function, arguments, returns)
+        kernels[entry] = made.native_name, made._library.get_llvm_str()
+        return _fake(len(kernels) - 1)
+
+    native.compiled = collected
+    estimator = _estimator(task)
+    model, parts, instance = estimator.assemble()
+    blocks = _blocks({**parts, **estimator.inner_parts(model), "instance": instance}, list(kernels))
+    blocks["work"] = Block(estimator.work_size(), b"", {})
+    target = Target(**task["target"])
+    code, needs, text = _linked(kernels, target)
+    folder = Path(task["folder"])
+    (folder / "code.o").write_bytes(code)
+    described = {
+        name: {"size": b.size, "image": b.image.hex(), "addresses": dict(b.addresses), "constant": b.constant}
+        for name, b in blocks.items()
+    }
+    (folder / "blocks.json").write_text(json.dumps({"blocks": described, "needs": needs, "text": text}))
+
+
+def _estimator(task: Mapping[str, Any]) -> Any:
+    from estimators.catalogue import create
+
+    def frozen(values: Mapping[str, Any]) -> dict[str, Any]:
+        return {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
+
+    site, sensors = Site(**frozen(task["site"])), SensorInfo(**frozen(task["sensors"]))
+    return create(task["name"], site=site, sensors=sensors, **task["settings"])
+
+
+def _fake(number: int) -> int:
+    """An address that stands for a kernel: none that memory has."""
+    return -1 - number
+
+
+def _blocks(records: Mapping[str, Any], kernels: list[str]) -> dict[str, Block]:
+    """The records' memory, with names in the place of addresses."""
+    known = {record.data.ctypes.data: name for name, record in records.items()}
+    return {name: _block(name, record.data, known, kernels) for name, record in records.items()}
+
+
+def _block(name: str, data: Any, known: Mapping[int, str], kernels: list[str]) -> Block:
+    import numpy as np
+
+    image, addresses = bytearray(data.tobytes()), {}
+    for offset in range(0, len(image) - len(image) % 8, 8) if name in _POINTING else ():
+        value = int(np.frombuffer(image, np.int64, 1, offset)[0])
+        if value in known:
+            addresses[offset] = known[value]
+        elif -len(kernels) <= value < 0:
+            addresses[offset] = PREFIX + kernels[-1 - value]
+        else:
+            continue
+        image[offset : offset + 8] = bytes(8)
+    known_first = any(image) and name not in _SET_BY_KERNELS
+    return Block(len(image), bytes(image) if known_first else b"", addresses, name in _CONSTANT)
+
+
+_POINTING = ("instance", "method", "policy", "model")
+_CONSTANT = ("blank",)
+_SET_BY_KERNELS = ("stretch", "memory", "parameters", "policy_parameters", "site", "sensors")
+
+
+def _linked(kernels: Mapping[str, tuple[str, str]], target: Target) -> tuple[bytes, list[str], int]:
+    """Link intermediate code, compile it for the target; the object, what it needs, and bytes of code."""
+    from llvmlite import binding as llvm  # type: ignore[import-untyped]
+
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    machine = llvm.Target.from_triple(target.triple).create_target_machine(
+        cpu=target.cpu,
+        features=target.features,
+        opt=2,
+        reloc=target.relocation,
+        codemodel="default",
+        abiname=target.abi,
+    )
+    whole = llvm.parse_assembly(_NO_PYTHON + ("" if target.has_sqrt else _SQRT))
+    for entry, (symbol, code) in kernels.items():
+        module = llvm.parse_assembly(_portable(code, target, str(machine.target_data)))
+        module.get_function(symbol).name = PREFIX + entry
+        whole.link_in(module)
+    whole.triple, whole.data_layout = target.triple, str(machine.target_data)
+    for value in (*whole.functions, *whole.global_variables):
+        if not value.is_declaration:
+            value.linkage = "external" if value.name.startswith(PREFIX) else "internal"
+    whole.verify()
+    options = llvm.create_pipeline_tuning_options(speed_level=2)
+    options.loop_vectorization = options.slp_vectorization = False
+    builder = llvm.create_pass_builder(machine, options)
+    builder.getModulePassManager().run(whole, builder)
+    needs = sorted(f.name for f in whole.functions if f.is_declaration and not f.name.startswith("llvm."))
+    code = machine.emit_object(whole)
+    return code, needs, _size(code)
+
+
+def _size(code: bytes) -> int:
+    """Bytes of instructions and constants of an object file."""
+    from llvmlite import binding as llvm
+
+    parts = llvm.ObjectFileRef.from_data(code).sections()
+    return sum(part.size() for part in parts if re.match(rb"\.(text|rodata)|CODE|DATA", part.name() or b""))
+
+
+def _portable(code: str, target: Target, layout: str) -> str:
+    """Intermediate code without what belongs to the machine that Numba ran on."""
+    code = re.sub(r"^target (triple|datalayout) = .*$", "", code, flags=re.MULTILINE)
+    code = f'target datalayout = "{layout}"\ntarget triple = "{target.triple}"\n{code}'
+    code = re.sub(r'"target-(cpu|features)"="[^"]*"', "", code)
+    return re.sub(r"@(llvm\.sqrt\.f64|sqrt)\b", "@llvm.sqrt.f64" if target.has_sqrt else "@root", code)
+
+
+_SQRT = f"""
+declare void @{PREFIX}sqrt(ptr)
+define double @root(double %x) {{
+  %place = alloca double
+  store double %x, ptr %place
+  call void @{PREFIX}sqrt(ptr %place)
+  %y = load double, ptr %place
+  ret double %y
+}}
+"""
+"""By address: how doubles are passed on machines without their arithmetic is not the same for all compilers."""
+
+
+_NO_PYTHON = """
+declare void @llvm.trap()
+define i32 @numba_gil_ensure() {
+  call void @llvm.trap()
+  unreachable
+}
+"""
+"""No kernel raises; what would report it to an interpreter ends the program instead."""
