@@ -72,7 +72,7 @@ def sin(x: float) -> float:
     if not math.isfinite(x):
         return math.nan
     quadrant, y, tail = _reduced(x)
-    value = _sine(y, tail) if quadrant % 2 == 0 else _cosine(y, tail)
+    value: float = _sine(y, tail) if quadrant % 2 == 0 else _cosine(y, tail)
     return -value if quadrant >= 2 else value
 
 
@@ -82,14 +82,15 @@ def cos(x: float) -> float:
     if not math.isfinite(x):
         return math.nan
     quadrant, y, tail = _reduced(x)
-    value = _cosine(y, tail) if quadrant % 2 == 0 else _sine(y, tail)
+    value: float = _cosine(y, tail) if quadrant % 2 == 0 else _sine(y, tail)
     return -value if quadrant in (1, 2) else value
 
 
 @njit
 def tan(x: float) -> float:
     """Tangent of x (rad)."""
-    return sin(x) / cos(x)
+    slope: float = sin(x) / cos(x)
+    return slope
 
 
 @njit
@@ -133,7 +134,8 @@ def atan2(y: float, x: float) -> float:
 @njit
 def asin(x: float) -> float:
     """Angle (rad) whose sine is x, at most 1 in size."""
-    return atan2(x, math.sqrt((1.0 - x) * (1.0 + x)))
+    angle: float = atan2(x, math.sqrt((1.0 - x) * (1.0 + x)))
+    return angle
 
 
 @njit
@@ -166,7 +168,8 @@ def exp(x: float) -> float:
     c = x - t * (1.66666666666666019037e-01 + t * (-2.77777777770155933842e-03 + t * c))
     y = 1.0 - ((low - (x * c) / (2.0 - c)) - high)
     half = k // 2
-    return y * _power_of_two(half) * _power_of_two(k - half)
+    value: float = y * _power_of_two(half) * _power_of_two(k - half)
+    return value
 
 
 @njit

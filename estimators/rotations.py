@@ -188,7 +188,8 @@ def from_matrix(C_bn: np.ndarray, out: np.ndarray) -> None:
 @njit
 def yaw(q: np.ndarray) -> float:
     """Heading (rad, -pi..pi) of q_nb."""
-    return atan2(2.0 * (q[0] * q[3] + q[1] * q[2]), 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3]))
+    angle: float = atan2(2.0 * (q[0] * q[3] + q[1] * q[2]), 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3]))
+    return angle
 
 
 @njit
@@ -217,7 +218,8 @@ def wrap(angle: float) -> float:
     """`angle` in (-pi, pi]."""
     if -math.pi < angle <= math.pi:
         return angle
-    return math.pi - modulo(math.pi - angle, 2.0 * math.pi)
+    wrapped: float = math.pi - modulo(math.pi - angle, 2.0 * math.pi)
+    return wrapped
 
 
 @njit

@@ -123,9 +123,9 @@ _FLAGS = {
 def _texts(
     name: str, settings: Mapping[str, Any], suite: str, sensors: SensorInfo, target: str, emitted: Emitted
 ) -> dict[str, str]:
-    import llvmlite
+    import llvmlite  # type: ignore[import-untyped]
     import numba
-    from llvmlite import binding  # type: ignore[import-untyped]
+    from llvmlite import binding
 
     values = {key: setting.default for key, setting in method(name).settings.items()} | dict(settings)
     as_name, machine = name.replace("-", "_"), TARGETS[target]

@@ -1,0 +1,188 @@
+"""Code, memory and instructions of exported estimators by target: `python benchmarks/export_size.py [METHOD ...]`.
+
+Needs `ziglang` to link for other machines, and `unicorn`, whose Cortex-M counts instructions and shows the deepest
+stack. The rows are those of a swinging flight. The table is that of docs/doors.md.
+"""
+
+import importlib.util
+import struct
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ahrs_sim.plugins import export, layout
+from estimators import SensorInfo, Site
+
+HERE = Path(__file__).parent
+LINK = """ENTRY(table)
+SECTIONS { . = 0x08000000; .table : { KEEP(*(.table)) } .text : { *(.text*) *(.rodata*) }
+/DISCARD/ : { *(.ARM.exidx*) *(.ARM.extab*) } . = 0x20000000; .data : { *(.data*) } .bss : { *(.bss*) *(COMMON) } }
+"""
+TABLE = """#include "ahrs_estimator.h"
+__attribute__((section(".table"), used))
+const void *const table[] = {(const void *)ahrs_create, (const void *)ahrs_process};
+"""
+CORES = {"cortex-m4f": "cortex_m4", "cortex-m7": "cortex_m7"}
+
+
+def available(*modules: str) -> bool:
+    """Whether the packages are installed."""
+    return all(importlib.util.find_spec(name) for name in modules)
+
+
+def link(folder: Path, name: str, target: str) -> Path:
+    """Link an exported folder for a target: a program for the emulator, or a WebAssembly module."""
+    zig = [sys.executable, "-m", "ziglang", "cc", "-O2", "-std=c99", "-ffp-contract=off", "-g0"]
+    sources = [f"{name}.c", f"{name}_kernels.o"]
+    if target == "wasm32":
+        kept = [f"-Wl,--export={symbol}" for symbol in ("ahrs_create", "ahrs_process", "__heap_base")]
+        command = [*zig, "-target", "wasm32-freestanding", "-Wl,--no-entry", *kept]
+        made = folder / f"{name}.wasm"
+    else:
+        (folder / "link.ld").write_text(LINK)
+        (folder / "table.c").write_text(TABLE)
+        command = [*zig, "-target", "thumb-freestanding-eabihf", f"-mcpu={CORES[target]}", "-T", "link.ld", "table.c"]
+        made = folder / f"{name}.elf"
+    subprocess.run([*command, "-o", made.name, *sources], cwd=folder, check=True, capture_output=True)
+    return made
+
+
+class Board:
+    """A Cortex-M in the emulator, with an estimator in its memory."""
+
+    FLASH, RAM, DATA, STACK, RETURN = 0x08000000, 0x20000000, 0x60000000, 0x70000000, 0x08700000
+
+    def __init__(self, program: Path) -> None:
+        import unicorn
+        from unicorn import arm_const
+
+        self._arm = arm_const
+        self.machine = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB)
+        self.machine.ctl_set_cpu_model(arm_const.UC_CPU_ARM_MAX)  # its Cortex-M7 has no arithmetic of doubles
+        for base in (self.FLASH, self.RAM, self.DATA, self.STACK):
+            self.machine.mem_map(base, 0x800000)
+        code = program.read_bytes()
+        (offset,), (count,) = struct.unpack_from("<I", code, 28), struct.unpack_from("<H", code, 44)
+        for i in range(count):
+            kind, at, address, _, size, _ = struct.unpack_from("<6I", code, offset + 32 * i)
+            if kind == 1 and size:
+                self.machine.mem_write(address, code[at : at + size])
+        access = self.machine.reg_read(arm_const.UC_ARM_REG_C1_C0_2)
+        self.machine.reg_write(arm_const.UC_ARM_REG_C1_C0_2, access | 0xF << 20)
+        self.machine.reg_write(arm_const.UC_ARM_REG_FPEXC, 0x40000000)
+        self._create, self._process = struct.unpack("<2I", self.machine.mem_read(self.FLASH, 8))
+        self.instructions = 0
+
+    def call(self, function: int, *arguments: int) -> int:
+        """Call a function with up to four words."""
+        arm = self._arm
+        registers = (arm.UC_ARM_REG_R0, arm.UC_ARM_REG_R1, arm.UC_ARM_REG_R2, arm.UC_ARM_REG_R3)
+        for register, value in zip(registers, arguments, strict=False):
+            self.machine.reg_write(register, value)
+        self.machine.reg_write(arm.UC_ARM_REG_SP, self.STACK + 0x400000)
+        self.machine.reg_write(arm.UC_ARM_REG_LR, self.RETURN | 1)
+        self.machine.emu_start(function | 1, self.RETURN)
+        return int(self.machine.reg_read(arm.UC_ARM_REG_R0))
+
+    def estimate(self, known: bytes, rows: np.ndarray) -> bytes:
+        """Make an estimator of the bytes of site and sensors, and give it samples; the bytes of the estimates."""
+        self.machine.mem_write(self.DATA, known)
+        made = self.call(self._create, self.DATA, self.DATA + 56, 0)
+        into, out, answers = self.DATA + 0x1000, self.DATA + 0x100000, b""
+        for first in range(0, len(rows), 100):
+            part = rows[first : first + 100]
+            blank = np.zeros(len(part), layout.ESTIMATE)
+            layout.blank_estimates(part["t"], blank)
+            self.machine.mem_write(into, part.tobytes())
+            self.machine.mem_write(out, blank.tobytes())
+            if self.call(self._process, made, into, len(part), out):
+                raise RuntimeError("ahrs_process failed")
+            answers += bytes(self.machine.mem_read(out, blank.nbytes))
+        return answers
+
+    def count(self) -> None:
+        """Count instructions from here on."""
+        import unicorn
+
+        def one(*_: Any) -> None:
+            self.instructions += 1
+
+        self.machine.ctl_remove_cache(self.FLASH, self.FLASH + 0x700000)
+        self.machine.hook_add(unicorn.UC_HOOK_CODE, one)
+
+    def stack(self) -> int:
+        """The most bytes of stack that were used."""
+        memory = np.frombuffer(self.machine.mem_read(self.STACK, 0x400000), np.uint8)
+        return 0x400000 - int(np.argmax(memory != 0))
+
+
+def samples(seconds: float = 40.0) -> tuple[Any, Site]:
+    """Samples of a swinging flight with all sensors, and its place."""
+    rng, n = np.random.default_rng(3), int(100 * seconds)
+    site, t = Site((0.76, 0.02, 150.0), 9.805, (2.3e-5, 4e-7, 4.0e-5)), np.arange(n) / 100.0
+    swing = np.clip((t - 8.0) / 2.0, 0.0, 1.0)[:, None]
+    rate = swing * 0.3 * np.cos(np.outer(t, [0.9, 0.7, 0.4])) + rng.normal(0, 0.002, (n, 3))
+    force = (
+        np.array([0.0, 0.0, -site.gravity]) + swing * np.sin(np.outer(t, [0.5, 0.9, 0.3])) + rng.normal(0, 0.02, (n, 3))
+    )
+    velocity = swing * np.column_stack([15.0 + np.sin(t), 3.0 * np.cos(t), 0.3 * np.sin(t)])
+    place = np.array(site.lla) + np.cumsum(velocity, 0) / 100.0 * [1.57e-7, 2.2e-7, -1.0]
+    every, k = 20, np.arange(n)
+    from estimators import Samples
+
+    return Samples.make(
+        t, rate, force, mag_b=np.array(site.mag_n) + rng.normal(0, 3e-7, (n, 3)), mag_new=k % 2 == 0,
+        lla=np.where(k[:, None] < 5, np.nan, place), vel_n=velocity + rng.normal(0, 0.05, (n, 3)), gnss_t=t - 0.1,
+        gnss_satellites=np.full(n, 9.0), gnss_new=k % every == 5, airspeed=np.linalg.norm(velocity, axis=1),
+        air_new=k % 5 == 0, heading=0.1 * np.sin(t), heading_sigma=np.full(n, 0.01), heading_t=t - 0.05,
+        heading_new=k % every == 7,
+    ), site  # fmt: skip
+
+
+def rows_of(block: Any) -> np.ndarray:
+    """Samples as structures of the interface."""
+    rows = np.zeros(len(block.t), layout.SAMPLE)
+    layout.write_samples(block, rows)
+    return rows
+
+
+def measured(method: str, target: str, sensors: SensorInfo) -> str:
+    """A row of the table."""
+    block, site = samples(20.0)
+    name = method.replace("-", "_")
+    with tempfile.TemporaryDirectory() as folder:
+        made = export.export(method, {}, "chr", sensors, target, Path(folder) / "code")
+        work = ""
+        if target in CORES and available("ziglang", "unicorn"):
+            board = Board(link(Path(folder) / "code", name, target))
+            rows = rows_of(block)
+            known = layout.constants(site) + layout.constants(sensors)
+            board.estimate(known, rows)
+            stack = board.stack()
+            board.count()
+            board.estimate(known, rows[:1200])
+            before, board.instructions = board.instructions, 0
+            board.estimate(known, rows[:1300])
+            work = f"{stack / 1000:.1f} | {(board.instructions - before) / 100 / 1000:.1f}"
+    work = work or " | "
+    return f"| `{method}` | {target} | {made.text / 1000:.0f} | {made.memory / 1000:.1f} | {work} |"
+
+
+def main() -> None:
+    """Print the table."""
+    methods = sys.argv[1:] or ["marg-ekf", "marg-ckf", "sekf", "ins21"]
+    sensors = export.suite_info("chr", "circuit")
+    print(
+        "| method | target | code, kB | memory, kB | stack, kB | 1000 instructions a row |\n|---|---|---|---|---|---|"
+    )
+    for method in methods:
+        for target in export.TARGETS:
+            print(measured(method, target, sensors), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,156 @@
+"""Exported code against Python: the same bytes from a shared library, from WebAssembly in Node, and on a Cortex-M."""
+
+import importlib.util
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+import estimators
+from ahrs_sim.cli import main
+from ahrs_sim.plugins import export, layout
+from ahrs_sim.plugins.library import LibraryEstimator
+from estimators import SensorInfo
+
+SENSORS = SensorInfo(gyro_delay=0.005, accel_delay=0.008, mag_delay=0.02, antenna_b=(0.5, 0.1, -1.0), gnss_pos=2.0)
+EXPORTED = [m.name for m in estimators.describe() if m.own and m.name != "ins-cal"]
+
+
+def _benchmark() -> ModuleType:
+    path = Path(__file__).parents[2] / "benchmarks" / "export_size.py"
+    spec = importlib.util.spec_from_file_location("export_size", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+bench = _benchmark()
+BLOCK, SITE = bench.samples()
+
+
+def same(block: Any, other: Any) -> bool:
+    names = block.__match_args__
+    return all(
+        np.ascontiguousarray(getattr(block, n)).tobytes() == np.ascontiguousarray(getattr(other, n)).tobytes()
+        for n in names
+    )
+
+
+def expected(method: str, **settings: Any) -> Any:
+    made = estimators.create(method, site=SITE, sensors=SENSORS, **settings).process(BLOCK)
+    assert (made.status == estimators.Status.RUNNING).mean() > 0.3
+    return made
+
+
+def loaded(folder: Path, method: str) -> Any:
+    """Build the exported library and give it the samples, twice: after `reset` it is as before."""
+    subprocess.run(["make", "-s", "CFLAGS=-Werror -pedantic"], cwd=folder, check=True)
+    library = LibraryEstimator(folder / f"lib{method.replace('-', '_')}.so", site=SITE, sensors=SENSORS)
+    once = library.process(BLOCK)
+    library.reset()
+    again = library.process(BLOCK)
+    library.close()
+    assert library.failure is None
+    assert same(once, again)
+    return once
+
+
+@pytest.mark.parametrize(
+    "method",
+    [m if m == "marg-ekf" else pytest.param(m, marks=pytest.mark.long) for m in EXPORTED],
+)
+def test_a_library_gives_the_bytes_of_python(tmp_path: Path, method: str) -> None:
+    folder = tmp_path / "code"
+    export.export(method, {}, "chr", SENSORS, "x86_64-linux", folder)
+    assert same(loaded(folder, method), expected(method))
+
+
+@pytest.mark.long
+def test_settings_go_with_it_and_the_example_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, chosen = tmp_path / "code", ["--setting", "aiding=airspeed", "--setting", "adaptation=magnetic"]
+    assert main(["export-code", "marg-ckf", *chosen, "-o", str(folder)]) == 0
+    assert "kB of static memory" in capsys.readouterr().out
+    assert same(loaded(folder, "marg-ckf"), expected("marg-ckf", aiding="airspeed", adaptation="magnetic"))
+    subprocess.run(["make", "-s", "example"], cwd=folder, check=True)
+    printed = subprocess.run(["./example"], cwd=folder, check=True, capture_output=True, text=True).stdout
+    assert printed.startswith("status 1, q_nb 1.0000")
+    assert "aiding = airspeed" in (folder / "README.md").read_text()
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not bench.available("ziglang") or shutil.which("node") is None, reason="no ziglang, or no Node")
+def test_webassembly_gives_the_bytes_of_python(tmp_path: Path) -> None:
+    folder = tmp_path / "code"
+    export.export("marg-ekf", {}, "chr", SENSORS, "wasm32", folder)
+    module = bench.link(folder, "marg_ekf", "wasm32")
+    (tmp_path / "known").write_bytes(layout.constants(SITE) + layout.constants(SENSORS))
+    (tmp_path / "samples").write_bytes(bench.rows_of(BLOCK).tobytes())
+    files = [str(tmp_path / name) for name in ("known", "samples", "out")]
+    sizes = [str(layout.SAMPLE.itemsize), str(layout.ESTIMATE.itemsize), str(len(layout.constants(SITE)))]
+    subprocess.run(["node", Path(__file__).parent / "run_wasm.mjs", module, *files, *sizes], check=True)
+    assert same(_read((tmp_path / "out").read_bytes()), expected("marg-ekf"))
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not bench.available("ziglang", "unicorn"), reason="no ziglang, or no unicorn")
+@pytest.mark.parametrize("target", ["cortex-m7", "cortex-m4f"])
+def test_a_cortex_gives_the_bytes_of_python(tmp_path: Path, target: str) -> None:
+    folder = tmp_path / "code"
+    export.export("marg-ekf", {}, "chr", SENSORS, target, folder)
+    board = bench.Board(bench.link(folder, "marg_ekf", target))
+    answers = board.estimate(layout.constants(SITE) + layout.constants(SENSORS), bench.rows_of(BLOCK))
+    assert same(_read(answers), expected("marg-ekf"))
+
+
+def _read(answers: bytes) -> Any:
+    return layout.read_estimates(np.frombuffer(answers, layout.ESTIMATE).copy())
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a compiler is needed")
+def test_the_square_root_is_that_of_the_processor(tmp_path: Path) -> None:
+    source = Path(export.__file__).parent / "templates" / "export" / "sqrt.c"
+    (tmp_path / "root.c").write_text(f'#include <stdint.h>\n#include "{source}"\n')
+    command = ["cc", "-std=c99", "-Wall", "-Werror", "-pedantic", "-O2", "-fPIC", "-shared", "-o", "root.so", "root.c"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    import ctypes
+
+    root = ctypes.CDLL(str(tmp_path / "root.so")).ahrs_kernel_sqrt
+    bits = np.random.default_rng(1).integers(0, 0x7FF0000000000000, 20000)
+    bits[:1000] &= 0xFFFFFFFFFFFFF  # subnormal
+    numbers = np.concatenate([bits.view(np.float64), np.arange(1000.0), [0.0, -0.0, np.inf, np.nan, -1.0]])
+    with np.errstate(invalid="ignore"):
+        wanted = np.sqrt(numbers)
+    for number, value in zip(numbers, wanted, strict=True):
+        place = ctypes.c_double(number)
+        root(ctypes.byref(place))
+        np.testing.assert_array_equal(place.value, value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["ins-cal"], "ins-cal cannot be exported as code: its loop is not one of a filter on a model"),
+        (["vqf"], "vqf comes from another package"),
+        (["marg-efk"], "no estimator 'marg-efk'; did you mean 'marg-ekf'?"),
+        (["marg-ekf", "--suite", "chx"], "has no such suite; did you mean 'chr'?"),
+        (["marg-ekf", "--setting", "aiding"], "expected NAME=VALUE"),
+        (["marg-ekf", "--setting", "aidng=none"], "no setting 'aidng'; did you mean 'aiding'?"),
+        (["marg-ekf", "--setting", "align_s=long"], "expected a number"),
+        (["marg-ekf", "--setting", "aiding=wind"], "'wind' is not a choice"),
+    ],
+)
+def test_what_cannot_be_exported_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
+) -> None:
+    assert main(["export-code", *arguments, "-o", str(tmp_path / "code")]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "code").exists()
