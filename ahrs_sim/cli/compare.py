@@ -13,7 +13,9 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
     command = commands.add_parser("compare", help="accuracy of every estimator in a log")
     command.add_argument("log", type=Path, nargs="+")
-    command.add_argument("--reference", metavar="NAME", help="an estimator or any orientation topic, not the truth")
+    command.add_argument(
+        "--reference", metavar="NAME", help="an estimator, any orientation topic, or smoothed; not the truth"
+    )
     command.add_argument("--align", choices=["heading", "frames"], help="remove a constant rotation before comparing")
     command.add_argument("--sync", action="store_true", help="remove a constant delay before comparing")
     command.add_argument("--against", metavar="NAME", help="paired differences of every estimator from this one")

@@ -47,6 +47,11 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument(
         "--ros-axes", action="store_true", help="IMU topics a second time behind /ros, in ENU and FLU (REP-103)"
     )
+    command.add_argument(
+        "--smooth",
+        action="store_true",
+        help="also estimates smoothed over the whole flight, as /est/NAME_smoothed (ins-cal)",
+    )
     command.add_argument("--all", action="store_true", help="print 95th percentiles and maxima of every angle, too")
     command.add_argument("--json", action="store_true", help="print the accuracy as JSON")
     command.add_argument("--quiet", action="store_true", help="print nothing but errors")
@@ -63,8 +68,10 @@ def run(arguments: argparse.Namespace) -> None:
     from ahrs_sim.flight import BLOCK_S
 
     scenario = scenario_of(arguments)
+    if arguments.smooth and not any(e.settings["method"] == "ins-cal" for e in scenario.estimators):
+        raise InputError("--smooth: none of the estimators can be smoothed; name one with --estimator ins-cal@SUITE")
     output = output_of(arguments, scenario)
-    carry_out(arguments, scenario, output, [], block_s=arguments.block or BLOCK_S)
+    carry_out(arguments, scenario, output, [], block_s=arguments.block or BLOCK_S, smooth=arguments.smooth)
 
 
 def carry_out(
@@ -75,6 +82,7 @@ def carry_out(
     *,
     block_s: float,
     unit: "Unit | None" = None,
+    smooth: bool = False,
 ) -> None:
     """Fly, and print the accuracy table.
 
@@ -126,8 +134,16 @@ def carry_out(
         Progress.clear()
         if live:
             live.close()
+    smooth = smooth and not (stop or failure)
+    if smooth:
+        _smooth(output, scenario)
     if not arguments.quiet:
-        _print(arguments, {"log": str(output), **accuracy.result()}, unit)
+        result = {"log": str(output), **accuracy.result()}
+        if smooth:
+            from ahrs_sim.review import compare
+
+            result = compare.compare(output)
+        _print(arguments, result, unit)
         if scenario.duration is None and not (stop or failure):  # else it was known before
             for note in scenario.unreached(accuracy.span()[1]):
                 print(f"ahrs-sim: {note}", file=sys.stderr)
@@ -135,6 +151,19 @@ def carry_out(
         raise failure
     if stop:
         raise KeyboardInterrupt(f"stopped at {accuracy.span()[1]:.0f} s; the log is complete up to there")
+
+
+def _smooth(output: Path, scenario: "Scenario") -> None:
+    """Write the log anew, smoothed estimates beside the filtered ones: a replay of it, which gives the same bytes."""
+    from ahrs_sim.playback import replay
+    from ahrs_sim.scenario import Gate
+
+    made = output.with_name(f"{output.name}.smoothed")
+    try:
+        replay(output, made, smooth=True, force=True, gate=Gate(scenario.code))
+        made.replace(output)
+    finally:
+        made.unlink(missing_ok=True)
 
 
 def _print(arguments: argparse.Namespace, result: dict[str, Any], unit: "Unit | None") -> None:

@@ -25,6 +25,9 @@ TRUTH_TOPIC = "/truth/imu"
 STATE_TOPIC = "/truth/state"
 AIR_TOPIC = "/truth/air"
 TRUTH_TOPICS = TRUTH_TOPIC, STATE_TOPIC, AIR_TOPIC
+SMOOTHED = "smoothed"
+"""As a reference: the smoothed estimates of a log (`fly --smooth`, `replay --smooth`)."""
+
 FULL = 0.995
 """Share of the time with an estimate from which on the table does not mention it."""
 
@@ -44,8 +47,9 @@ def compare(
 
     Args:
         path: the log.
-        reference: an estimator of the log, or any topic with orientations (its axes as its frame names say, else FLU
-            and ENU), to compare with; None: the truth, else the reference that a replay has left.
+        reference: an estimator of the log, "smoothed" for the one that is smoothed, or any topic with orientations (its
+            axes as its frame names say, else FLU and ENU), to compare with; None: the truth, else the reference that a
+            replay has left.
         start, end: only samples in this span, s of flight.
         align: remove a constant rotation of each estimator before comparing: "heading" (about
             down), or "frames" (one in each frame).
@@ -146,6 +150,8 @@ def attitudes(log: FlightReader, name: str | None) -> History:
     Raises:
         InputError: no such thing in the log.
     """
+    if name == SMOOTHED:
+        name = _only_smoothed(log)
     if name is None:
         topic = TRUTH_TOPIC
         if topic not in log.topics:
@@ -160,6 +166,17 @@ def attitudes(log: FlightReader, name: str | None) -> History:
             f"{log.path}: --reference {name}: no such estimator or topic in this log{nearest(name, known)}"
         )
     return orientations(log, topic)
+
+
+def _only_smoothed(log: FlightReader) -> str:
+    """Name the smoothed estimates of a log, where there are those of one estimator."""
+    found = [name for name in log.estimators if name.endswith(f"_{SMOOTHED}")]
+    if len(found) == 1:
+        return found[0]
+    which = (
+        f"several smoothed estimates; name one: {', '.join(found)}" if found else "no smoothed estimates in this log"
+    )
+    raise InputError(f"{log.path}: --reference {SMOOTHED}: {which}")
 
 
 def orientations(log: FlightReader, topic: str) -> History:

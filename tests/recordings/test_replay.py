@@ -52,6 +52,25 @@ def test_own_log_gives_the_same_bytes(flown: Path, tmp_path: Path) -> None:
         assert messages(flown, topic) == messages(out, topic), topic
 
 
+def test_a_flight_with_smoothed_estimates_which_are_a_reference(tmp_path: Path, capsys: Any) -> None:
+    out = tmp_path / "out.mcap"
+    asked = ["fly", "circuit", "--duration", "100", "--estimator", "ins-cal@chr", "-o", str(out), "--json"]
+    assert main([*asked, "--smooth"]) == 0
+    figures = json.loads(capsys.readouterr().out)["estimators"]
+    assert set(figures) == {"ins-cal-chr", "ins-cal-chr_smoothed"}
+    assert list(tmp_path.iterdir()) == [out]
+    assert main(["compare", str(out), "--reference", "smoothed", "--json"]) == 0
+    against = json.loads(capsys.readouterr().out)["estimators"]
+    assert against["ins-cal-chr_smoothed"]["total_rmse_deg"] == pytest.approx(0.0, abs=1e-4)
+    assert against["ins-cal-chr"]["total_rmse_deg"] > 0.01
+    assert main(["fly", "circuit", "--estimator", "ekf-chr", "-o", str(tmp_path / "none.mcap"), "--smooth"]) == 2
+    assert "none of the estimators can be smoothed" in capsys.readouterr().err
+    assert main([*asked, "--force"]) == 0
+    capsys.readouterr()
+    assert main(["compare", str(out), "--reference", "smoothed"]) == 2
+    assert "no smoothed estimates in this log" in capsys.readouterr().err
+
+
 def test_smoothed_estimates_beside_the_filtered_ones(tmp_path: Path) -> None:
     flight, out = tmp_path / "flight.mcap", tmp_path / "out.mcap"
     pipeline.fly(scenario.load("circuit", duration=110.0, estimators=["ekf-chr"]), flight)
