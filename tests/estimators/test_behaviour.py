@@ -156,6 +156,7 @@ def test_a_sensor_that_reads_zero_is_not_running(name, column):
     assert_identical(create(name, site=SITE, align_s=3.0).process(samples), estimates)
 
 
+@pytest.mark.long
 def test_prepare_reports_what_it_compiles(tmp_path):
     code = (
         "import estimators\n"
