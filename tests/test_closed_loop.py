@@ -38,6 +38,7 @@ aiding = "{}"
 """
 
 
+@pytest.mark.long
 def test_the_aircraft_flies_on_an_estimate(tmp_path: Path) -> None:
     scene, log = tmp_path / "closed.toml", tmp_path / "closed.mcap"
     scene.write_text(CLOSED.format("airspeed"))

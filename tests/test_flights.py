@@ -122,6 +122,7 @@ def test_estimators_asked_for_do_not_change_the_flight(short: Short, tmp_path: P
         assert fewer.tobytes() == all_[: len(fewer)].tobytes()
 
 
+@pytest.mark.long
 def test_circuit_on_the_ground_and_straight(circuit: Path) -> None:
     result = compare(circuit)
     assert result["reference"] == "truth"

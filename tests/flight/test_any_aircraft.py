@@ -60,6 +60,7 @@ def test_margins_are_kept_loaded_and_light():
         assert row.damping >= gains.DAMPING
 
 
+@pytest.mark.long
 def test_a_design_is_cached_and_read_back(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     first = design("T38", "test")

@@ -88,6 +88,7 @@ def test_in_the_hand(changes: dict[str, Any], words: str) -> None:
     assert words in found[0]
 
 
+@pytest.mark.long
 def test_all_orientations_of_a_magnetometer() -> None:
     """Every one of the 24 is found from turning about all axes, and put right by the line that is printed."""
     plain = hand()

@@ -57,6 +57,7 @@ aiding = "airspeed"
         ("gyro.turn_on_bias_dps = 0.0\ngyro.scale_percent = 30.0", "gyro scale", 1),
     ],
 )
+@pytest.mark.long
 def test_a_planted_error_comes_out_on_top(tmp_path, planted, name, measure):
     made = budget.make(short(tmp_path, planted), "mine")
     first, second = made.lines[:2]
@@ -74,6 +75,7 @@ def test_a_planted_error_comes_out_on_top(tmp_path, planted, name, measure):
     assert made.as_json()["terms"][0]["alone_heading_rmse_deg"] == pytest.approx(math.degrees(first.alone[1]))
 
 
+@pytest.mark.long
 def test_several_seeds_are_one_sum(tmp_path):
     flight = short(tmp_path, seconds=12.0)
     one, two = (

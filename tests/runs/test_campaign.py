@@ -226,6 +226,7 @@ def test_another_campaign_is_not_mixed_in(short: Path, tmp_path: Path) -> None:
 # ----------------------------------------------------------------------------------------------- flying
 
 
+@pytest.mark.long
 def test_fly_interrupt_and_repeat(short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     vary = ["--vary", "suite.chr.gyro.noise_density_dps_rthz=uniform:0.01..0.1"]
     whole, parts = tmp_path / "whole", tmp_path / "parts"
