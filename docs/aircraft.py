@@ -1,6 +1,7 @@
 """Fly every aircraft of JSBSim with the one autopilot and write what it did: `python docs/aircraft.py`.
 
-With names it flies those anew and takes the others from the last time. Some twenty seconds an aircraft and core.
+With names it flies those anew and takes the others from the last time, so too with `classes` the estimators in an
+aircraft of each class. Some twenty seconds an aircraft and core.
 """
 
 import math
@@ -19,6 +20,8 @@ from ahrs_sim.errors import InputError
 from ahrs_sim.flight import Truth, open_flight
 from ahrs_sim.flight.design import Design, design
 from ahrs_sim.flight.fdm import aircraft
+from ahrs_sim.runs import pool
+from ahrs_sim.runs.pool import Run, Span
 from ahrs_sim.scenario.shipped import scenario_dir
 
 RESULTS = Path.home() / ".cache" / "ahrs_sim" / "aircraft-page"
@@ -32,6 +35,21 @@ ENTRY = 20.0  # s, after which a turn is steady
 LOAD = 5.0  # g, of the wind-up turn
 STRONG = 25.0  # m/s of climb at cruise, of an aircraft that is asked to pull as much
 LIMITS = (3.0, 30.0, 5.0)  # deg, m, %
+
+CLASSES = {
+    "glider": "SGS", "light single": "c172p", "light twin": "c310", "business jet": "global5000", "airliner": "737",
+    "fighter": "f16",
+}  # fmt: skip
+SEEDS = (1, 2, 3)
+# The pitot tube of the suites ends at 106 m/s; these aircraft have one that does not.
+TUBE = {"air_data": {"diff_range_pa": 100e3}}
+SUITES = {"chr": {"grade": "chr_6dm", **TUBE}, "sbg": {"grade": "sbg_ig500", **TUBE}}
+ESTIMATORS = {
+    "marg-ckf, chr": {"method": "marg-ckf", "suite": "chr"},
+    "marg-ckf with airspeed, sbg": {"method": "marg-ckf", "suite": "sbg", "aiding": "airspeed"},
+    "ins21, chr": {"method": "ins21", "suite": "chr"},
+    "ins21, sbg": {"method": "ins21", "suite": "sbg"},
+}
 
 
 def fly(data: dict[str, Any]) -> tuple[Truth, list[Any], str | None]:
@@ -99,6 +117,52 @@ def windup(name: str, known: Design) -> dict[str, Any]:
     return {"error": error} if error else {"load": float(np.percentile(loads, 98.0)), "from": speed}
 
 
+def class_flights(name: str) -> dict[str, tuple[dict[str, Any], Span]]:
+    """What estimators see of an aircraft: the turns, and the wind-up turn of a fighter; with the part that counts."""
+    start = {"on_ground": False, "height_m": HEIGHT}
+    align = {"do": "straight", "for_s": 60.0}
+    both: list[dict[str, Any]] = [{"do": "turn", "bank_deg": sign * BANK, "for_s": 60.0} for sign in (1.0, -1.0)]
+    flights = {"turns": ({"start": start, "step": [align, *both]}, Span("part", steps=(2, 3)))}
+    if name == CLASSES["fighter"]:
+        fast = {**start, "height_m": 3000.0, "airspeed_mps": 0.95 * design(name, "docs/aircraft.py").fastest}
+        tight = {"do": "windup_turn", "load_g": LOAD, "rate_dps": 6.0, "hold_s": 4.0}
+        after = {"do": "straight", "for_s": 20.0}
+        flights["windup"] = ({"start": fast, "step": [align, tight, after]}, Span("part", steps=(2, 3)))
+    return flights
+
+
+def estimated(kind: str) -> dict[str, Any]:
+    """The 95th percentile of tilt and heading error (deg), mean over the seeds, by flight and estimator."""
+    name = CLASSES[kind]
+    names = {f"e{i}": title for i, title in enumerate(ESTIMATORS)}
+    row: dict[str, Any] = {"kind": kind, "name": name}
+    for flight, (data, span) in class_flights(name).items():
+        found: dict[str, list[tuple[float, float]]] = {title: [] for title in names.values()}
+        for seed in SEEDS:
+            data |= {"aircraft": name, "seed": seed, "rate_hz": RATE, "suite": SUITES}
+            data["estimator"] = {short: ESTIMATORS[title] for short, title in names.items()}
+            outcome = pool.fly(Run(seed, f"{name} {flight}", "docs/aircraft.py", data, spans=(span,)))
+            if outcome.error:
+                sys.exit(f"{name}, {flight}: {outcome.error}")
+            for short, title in names.items():
+                figures = outcome.figures[short]
+                found[title].append((figures["part.tilt_p95_deg"], figures["part.heading_p95_deg"]))
+        row[flight] = {title: np.mean(values, axis=0).tolist() for title, values in found.items()}
+    (RESULTS / f"class {kind}.pickle").write_bytes(pickle.dumps(row))
+    return row
+
+
+def classes(rows: list[dict[str, Any]]) -> list[str]:
+    """The table of estimators by class of aircraft."""
+    table = [f"| class | aircraft | {' | '.join(ESTIMATORS)} |", f"|---|---|{'---|' * len(ESTIMATORS)}"]
+    for flight, title in (("turns", ""), ("windup", f", {LOAD:.0f} g")):
+        for row in rows:
+            if flight in row:
+                cells = [f"{row[flight][e][0]:.1f} / {row[flight][e][1]:.1f}" for e in ESTIMATORS]
+                table.append(f"| {row['kind']}{title} | {row['name']} | {' | '.join(cells)} |")
+    return table
+
+
 def report(name: str) -> dict[str, Any]:
     """All that is found and flown of an aircraft; kept for the next time."""
     row = fly_all(name)
@@ -155,7 +219,7 @@ def reasons(row: dict[str, Any]) -> list[str]:
     return out
 
 
-def page(rows: list[dict[str, Any]]) -> str:
+def page(rows: list[dict[str, Any]], by_class: list[dict[str, Any]]) -> str:
     """The page."""
     flown = [row for row in rows if "design" in row]
     table = [
@@ -175,7 +239,8 @@ def page(rows: list[dict[str, Any]]) -> str:
     missing = [f"* **{row['name']}**: {reason}." for row in flown for reason in reasons(row)]
     refused = [f"* **{row['name']}**: {row['refused'].strip().rstrip('.')}." for row in rows if "refused" in row]
     text = PAGE.read_text(encoding="utf-8")
-    for mark, lines in (("flown", [counts, "", *table]), ("not flown", [*missing]), ("refused", [*refused])):
+    parts = {"flown": [counts, "", *table], "not flown": missing, "refused": refused, "classes": classes(by_class)}
+    for mark, lines in parts.items():
         text = re.sub(
             rf"(<!-- {mark} -->\n).*?(<!-- end {mark} -->)",
             lambda m, lines=lines: m[1] + "\n".join(lines) + "\n" + m[2],
@@ -188,12 +253,19 @@ def page(rows: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Fly them."""
     everyone = sorted((name for name in aircraft() if name != "trainer"), key=str.lower)
-    with multiprocessing.get_context("spawn").Pool(JOBS, maxtasksperchild=1) as pool:
-        for row in pool.imap_unordered(report, sys.argv[1:] or everyone):
+    wanted = sys.argv[1:] or ["classes", *everyone]
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    with multiprocessing.get_context("spawn").Pool(JOBS, maxtasksperchild=1) as workers:
+        for row in workers.imap_unordered(report, [name for name in wanted if name != "classes"]):
             text = [line(row), *reasons(row)] if "design" in row else [f"{row['name']}: {row['refused']}"]
             print("\n    ".join(text), flush=True)
-    kept = [RESULTS / f"{name}.pickle" for name in everyone]
-    PAGE.write_text(page([pickle.loads(path.read_bytes()) for path in kept if path.is_file()]), encoding="utf-8")
+        for row in workers.imap_unordered(estimated, CLASSES if "classes" in wanted else ()):
+            print(*classes([row])[2:], sep="\n", flush=True)
+    kept = [
+        [RESULTS / f"{name}.pickle" for name in names] for names in (everyone, [f"class {kind}" for kind in CLASSES])
+    ]
+    rows, by_class = ([pickle.loads(p.read_bytes()) for p in paths if p.is_file()] for paths in kept)
+    PAGE.write_text(page(rows, by_class), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from flight_helpers import Flown, make
 
-from ahrs_sim import scenario
+from ahrs_sim import pipeline, scenario
+from ahrs_sim.attitude import euler
 from ahrs_sim.cli import main
 from ahrs_sim.errors import InputError
+from ahrs_sim.evaluation.accuracy import Accuracy
 from ahrs_sim.flight import gains, open_flight
 from ahrs_sim.flight.design import design, from_text
 from ahrs_sim.flight.fdm import library_dir
@@ -116,6 +118,34 @@ def test_it_flies_on_an_estimate():
     a, b, c, d = last.q_nb[-1]
     roll = math.degrees(math.atan2(2 * (a * b + c * d), 1 - 2 * (b * b + c * c)))
     assert roll == pytest.approx(15.0, abs=1.0)
+
+
+def test_a_real_estimator_flies_a_cessna():
+    """It takes over in level flight and turns on what its sensors say; the bank is as good as the estimate is."""
+    steps = [
+        {"do": "straight", "for_s": 45.0},
+        {"do": "hand_over"},
+        {"do": "turn", "bank_deg": 20.0, "for_s": 30.0},
+    ]
+    kept = []
+
+    class Kept(Accuracy):
+        def add_truth(self, t, q_nb, vel_n, on_ground):
+            kept.append((t, q_nb))
+            super().add_truth(t, q_nb, vel_n, on_ground)
+
+    accuracy = Kept(["mine"])
+    mine = {"method": "marg-ckf", "suite": "sbg", "aiding": "airspeed"}
+    suites = {"sbg": {"grade": "sbg_ig500"}}
+    data = {"aircraft": "c172p", "start": AIR, "step": steps, "suite": suites, "estimator": {"mine": mine}, "seed": 2}
+    pipeline.fly(make(pilot={"attitude": "mine"}, **data), None, accuracy=accuracy)
+    t, q_nb = (np.concatenate(column) for column in zip(*kept, strict=True))
+    turn = t > accuracy.begins[3] + 15.0
+    roll = np.degrees(euler(q_nb[turn])[:, 0])
+    error = accuracy.result(low=float(t[turn][0]))["estimators"]["mine"]["roll_max_deg"]
+    assert 0.05 < error < 2.0
+    assert np.abs(roll - 20.0).max() < error + 0.5
+    assert np.abs(roll - 20.0).max() > 0.05  # on the truth it holds 20 deg to a hundredth
 
 
 def test_an_aircraft_of_ones_own_by_path(tmp_path):
