@@ -88,6 +88,13 @@ try {
     if (p0 === p1) fail("the aircraft does not move");
     await shot("playback");
     await page.click("#theme");
+
+    // A link to a moment opens the page there, zoomed.
+    const moment = Math.round(await page.$eval("#scrub", (e) => (2 * Number(e.min) + Number(e.max)) / 3));
+    await page.goto("about:blank");
+    await page.goto(`${pathToFileURL(report).href}#t=${moment}`);
+    await page.waitForFunction(() => document.documentElement.dataset.ready === "yes", null, { timeout: 30_000 });
+    if (Math.abs((await time()) - moment) > 0.1 || (await width())) fail(`#t=${moment} opens the page at ${await time()}`);
     if (trouble.length) fail(trouble.join("\n"));
     console.log(`${colorScheme}: ready after ${ready} ms, ${boxes.length} plots drawn, cursor, zoom and playback work`);
     await page.close();
