@@ -89,13 +89,23 @@ class Accuracy:
             ends = [(p[0][0], self._evaluator.reached) for p in self._coarse[:1]]
         return min((float(a) for a, _ in ends), default=math.inf), max((float(b) for _, b in ends), default=-math.inf)
 
-    def worst(self, low: float, high: float) -> dict[str, dict[str, float]]:
-        """Find when errors were largest between `low` and `high` (s): `MEASURE_worst_s` by estimator, where known."""
-        found: dict[str, dict[str, float]] = {}
+    def part(self, low: float, high: float) -> dict[str, dict[str, Any]]:
+        """Summarise a part of the flight, from `low` to `high` (s), by estimator.
+
+        Returns:
+            What `result` has of the whole span, `MEASURE_worst_s`, when the error was largest, where it is known, and
+            `turn_rate_STATISTIC_dps`: how wrong the turn rate is that the estimated heading changes by in a second.
+        """
+        found: dict[str, dict[str, Any]] = self.result(low=low, high=high)["estimators"]
         for name, parts in self._parts.items():
             t, errors, _ = _within(parts, low, high)
-            columns = [(m, np.abs(_column(errors, Measure[m.upper()]))) for m in metrics.MEASURES]
-            found[name] = {f"{m}_worst_s": float(t[np.nanargmax(x)]) for m, x in columns if np.isfinite(x).any()}
+            columns = {m: np.abs(_column(errors, Measure[m.upper()])) for m in metrics.MEASURES}
+            del found[name]["phases"]
+            found[name] |= {
+                f"{m}_worst_s": float(t[np.nanargmax(x)]) for m, x in columns.items() if np.isfinite(x).any()
+            }
+            rate = metrics.rate_errors(t, _column(errors, Measure.HEADING))
+            found[name] |= _finite(metrics.figures("turn_rate", rate, unit="dps"))
         return found
 
     def result(

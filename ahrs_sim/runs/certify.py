@@ -50,7 +50,7 @@ from ahrs_sim.runs.pool import Pool, Span
 from ahrs_sim.scenario.table import Table, read_toml
 
 SHIPPED = "certification.toml"
-FIGURES = tuple(f"{m}_{s}_deg" for m in MEASURES for s in STATISTICS)
+FIGURES = tuple(f"{m}_{s}_deg" for m in MEASURES for s in STATISTICS) + tuple(f"turn_rate_{s}_dps" for s in STATISTICS)
 """What a limit can be of."""
 
 AVAILABLE = 0.99
@@ -75,7 +75,7 @@ class Requirement:
 
     row: Row
     figure: str
-    limit: float  # deg
+    limit: float  # deg, or deg/s of the turn rate
     source: str
     own: bool  # the project's, of no authority
 
@@ -341,7 +341,8 @@ def _finding(standard: Standard, requirement: Requirement, rows: Sequence[Mappin
     result = NOT_MET if lower > requirement.limit else MET if bound <= requirement.limit else NOT_SHOWN
     found = float(np.quantile(values, standard.quantile, method="higher"))
     worst = rows[int(values.argmax())]
-    moment = worst.get(f"{name}.{figure.partition('_')[0]}_worst_s")
+    measure = "heading" if figure.startswith("turn_rate") else figure.partition("_")[0]
+    moment = worst.get(f"{name}.{measure}_worst_s")
     return Finding(requirement, values, found, bound, result, worst["run"], math.nan if moment is None else moment)
 
 

@@ -100,11 +100,8 @@ def _flown(scenario: Scenario, run: Run) -> dict[str, dict[str, Any]]:
     result = accuracy.result(band_s=run.band_s)
     rows = {name: flat(values) for name, values in result["estimators"].items()}
     for span in run.spans:
-        low, high = span.within(accuracy.begins)
-        part, worst = accuracy.result(low=low, high=high)["estimators"], accuracy.worst(low, high)
-        for name, values in part.items():
-            values.pop("phases")
-            rows[name] |= flat({**values, **worst[name]}, f"{span.name}.")
+        for name, values in accuracy.part(*span.within(accuracy.begins)).items():
+            rows[name] |= flat(values, f"{span.name}.")
     return rows
 
 
