@@ -16,6 +16,7 @@ import numpy as np
 
 from ahrs_sim.plugins import export, layout
 from estimators import SensorInfo, Site
+from estimators.emit import Emitted, emit
 
 HERE = Path(__file__).parent
 LINK = """ENTRY(table)
@@ -150,12 +151,12 @@ def rows_of(block: Any) -> np.ndarray:
     return rows
 
 
-def measured(method: str, target: str, sensors: SensorInfo) -> str:
+def measured(method: str, target: str, made: Emitted, sensors: SensorInfo) -> str:
     """A row of the table."""
     block, site = samples(20.0)
     name = method.replace("-", "_")
     with tempfile.TemporaryDirectory() as folder:
-        made = export.export(method, {}, "chr", sensors, target, Path(folder) / "code")
+        export.write(method, {}, "chr", sensors, target, made, Path(folder) / "code")
         work = ""
         if target in CORES and available("ziglang", "unicorn"):
             board = Board(link(Path(folder) / "code", name, target))
@@ -180,8 +181,8 @@ def main() -> None:
         "| method | target | code, kB | memory, kB | stack, kB | 1000 instructions a row |\n|---|---|---|---|---|---|"
     )
     for method in methods:
-        for target in export.TARGETS:
-            print(measured(method, target, sensors), flush=True)
+        for target, made in emit(method, {}, Site((0.0, 0.0, 0.0)), sensors, export.TARGETS).items():
+            print(measured(method, target, made, sensors), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """An estimator of the catalogue as object code for another machine: its kernels, linked, without Python.
 
-    emitted = emit("marg-ekf", {"aiding": "airspeed"}, sensors, TARGETS["cortex-m7"])
+    emitted = emit("marg-ekf", {"aiding": "airspeed"}, site, sensors, ["cortex-m7"])["cortex-m7"]
     emitted.code        # an object file: ahrs_kernel_process, ahrs_kernel_forget and what they call
     emitted.blocks      # the memory that they work on, with its first contents
 
@@ -16,7 +16,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -65,7 +65,6 @@ class Emitted:
 
     code: bytes  # object file
     blocks: Mapping[str, Block]
-    needs: tuple[str, ...]  # functions that it calls and does not have
     text: int  # bytes of instructions and constants
 
     @property
@@ -79,8 +78,10 @@ class Emitted:
         return sum(len(block.image) for block in self.blocks.values())
 
 
-def emit(name: str, settings: Mapping[str, Any], site: Site, sensors: SensorInfo, target: Target) -> Emitted:
-    """Compile a method with checked settings for a target.
+def emit(
+    name: str, settings: Mapping[str, Any], site: Site, sensors: SensorInfo, targets: Iterable[str]
+) -> dict[str, Emitted]:
+    """Compile a method with these settings for some of `TARGETS`; what there is by target.
 
     Raises:
         SettingError: a method that is no filter on a model of the catalogue.
@@ -100,18 +101,18 @@ def emit(name: str, settings: Mapping[str, Any], site: Site, sensors: SensorInfo
             "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]),
         }  # fmt: skip
         task = {"name": name, "settings": dict(settings), "site": asdict(site), "sensors": asdict(sensors)}
-        task |= {"target": target._asdict(), "folder": folder}
+        task |= {"targets": list(targets), "folder": folder}
         command = [sys.executable, "-W", "ignore", "-c", "from estimators.emit import _main; _main()"]
         ran = subprocess.run(command, input=json.dumps(task), env=environment, capture_output=True, text=True)
         if ran.returncode != 0:
             raise RuntimeError(f"{name} cannot be emitted: {ran.stderr.strip()}")
         found = json.loads((Path(folder) / "blocks.json").read_text())
-        code = (Path(folder) / "code.o").read_bytes()
+        codes = {target: (Path(folder) / f"{target}.o").read_bytes() for target in task["targets"]}
     blocks = {
         key: Block(b["size"], bytes.fromhex(b["image"]), {int(k): v for k, v in b["addresses"].items()}, b["constant"])
         for key, b in found["blocks"].items()
     }
-    return Emitted(code, blocks, tuple(found["needs"]), found["text"])
+    return {target: Emitted(code, blocks, _size(code)) for target, code in codes.items()}
 
 
 # In the process of its own
@@ -134,15 +135,14 @@ def _main() -> None:
     model, parts, instance = estimator.assemble()
     blocks = _blocks({**parts, **estimator.inner_parts(model), "instance": instance}, list(kernels))
     blocks["work"] = Block(estimator.work_size(), b"", {})
-    target = Target(**task["target"])
-    code, needs, text = _linked(kernels, target)
     folder = Path(task["folder"])
-    (folder / "code.o").write_bytes(code)
+    for target in task["targets"]:
+        (folder / f"{target}.o").write_bytes(_linked(kernels, TARGETS[target]))
     described = {
         name: {"size": b.size, "image": b.image.hex(), "addresses": dict(b.addresses), "constant": b.constant}
         for name, b in blocks.items()
     }
-    (folder / "blocks.json").write_text(json.dumps({"blocks": described, "needs": needs, "text": text}))
+    (folder / "blocks.json").write_text(json.dumps({"blocks": described}))
 
 
 def _estimator(task: Mapping[str, Any]) -> Any:
@@ -188,8 +188,8 @@ _CONSTANT = ("blank",)
 _SET_BY_KERNELS = ("stretch", "memory", "parameters", "policy_parameters", "site", "sensors")
 
 
-def _linked(kernels: Mapping[str, tuple[str, str]], target: Target) -> tuple[bytes, list[str], int]:
-    """Link intermediate code, compile it for the target; the object, what it needs, and bytes of code."""
+def _linked(kernels: Mapping[str, tuple[str, str]], target: Target) -> bytes:
+    """Link intermediate code and compile it for the target; an object file."""
     from llvmlite import binding as llvm  # type: ignore[import-untyped]
 
     llvm.initialize_all_targets()
@@ -216,9 +216,8 @@ def _linked(kernels: Mapping[str, tuple[str, str]], target: Target) -> tuple[byt
     options.loop_vectorization = options.slp_vectorization = False
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(whole, builder)
-    needs = sorted(f.name for f in whole.functions if f.is_declaration and not f.name.startswith("llvm."))
-    code = machine.emit_object(whole)
-    return code, needs, _size(code)
+    code: bytes = machine.emit_object(whole)
+    return code
 
 
 def _size(code: bytes) -> int:

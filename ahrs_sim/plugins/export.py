@@ -95,8 +95,15 @@ def export(
     """
     if folder.exists():
         raise InputError(f"{folder}: exists; choose another -o")
-    site = estimators.Site((0.0, 0.0, 0.0))
-    emitted = emit(name, settings, site, sensors, TARGETS[target])
+    emitted = emit(name, settings, estimators.Site((0.0, 0.0, 0.0)), sensors, [target])[target]
+    write(name, settings, suite, sensors, target, emitted, folder)
+    return emitted
+
+
+def write(
+    name: str, settings: Mapping[str, Any], suite: str, sensors: SensorInfo, target: str, emitted: Emitted, folder: Path
+) -> None:  # fmt: skip
+    """Write the folder of what was emitted; for the rest see `export`."""
     texts = _texts(name, settings, suite, sensors, target, emitted)
     folder.mkdir(parents=True)
     for path in sorted(p for p in _TEMPLATES.iterdir() if p.name != _SQRT):
@@ -106,7 +113,6 @@ def export(
         (folder / path.name.replace("NAME", texts["NAME"])).write_text(text, encoding="utf-8")
     (folder / layout.HEADER.name).write_text(layout.HEADER.read_text(encoding="utf-8"), encoding="utf-8")
     (folder / f"{texts['NAME']}_kernels.o").write_bytes(emitted.code)
-    return emitted
 
 
 _GOALS = {"x86_64-linux": "lib{}.so", "aarch64-linux": "lib{}.so", "wasm32": "{}.wasm"}

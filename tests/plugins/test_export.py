@@ -16,6 +16,7 @@ from ahrs_sim.cli import main
 from ahrs_sim.plugins import export, layout
 from ahrs_sim.plugins.library import LibraryEstimator
 from estimators import SensorInfo
+from estimators.emit import Emitted, emit
 
 SENSORS = SensorInfo(gyro_delay=0.005, accel_delay=0.008, mag_delay=0.02, antenna_b=(0.5, 0.1, -1.0), gnss_pos=2.0)
 EXPORTED = [m.name for m in estimators.describe() if m.own and m.name != "ins-cal"]
@@ -86,9 +87,9 @@ def test_settings_go_with_it_and_the_example_runs(tmp_path: Path, capsys: pytest
 
 @pytest.mark.long
 @pytest.mark.skipif(not bench.available("ziglang") or shutil.which("node") is None, reason="no ziglang, or no Node")
-def test_webassembly_gives_the_bytes_of_python(tmp_path: Path) -> None:
+def test_webassembly_gives_the_bytes_of_python(tmp_path: Path, marg_ekf: dict[str, Emitted]) -> None:
     folder = tmp_path / "code"
-    export.export("marg-ekf", {}, "chr", SENSORS, "wasm32", folder)
+    export.write("marg-ekf", {}, "chr", SENSORS, "wasm32", marg_ekf["wasm32"], folder)
     module = bench.link(folder, "marg_ekf", "wasm32")
     (tmp_path / "known").write_bytes(layout.constants(SITE) + layout.constants(SENSORS))
     (tmp_path / "samples").write_bytes(bench.rows_of(BLOCK).tobytes())
@@ -101,12 +102,17 @@ def test_webassembly_gives_the_bytes_of_python(tmp_path: Path) -> None:
 @pytest.mark.long
 @pytest.mark.skipif(not bench.available("ziglang", "unicorn"), reason="no ziglang, or no unicorn")
 @pytest.mark.parametrize("target", ["cortex-m7", "cortex-m4f"])
-def test_a_cortex_gives_the_bytes_of_python(tmp_path: Path, target: str) -> None:
+def test_a_cortex_gives_the_bytes_of_python(tmp_path: Path, marg_ekf: dict[str, Emitted], target: str) -> None:
     folder = tmp_path / "code"
-    export.export("marg-ekf", {}, "chr", SENSORS, target, folder)
+    export.write("marg-ekf", {}, "chr", SENSORS, target, marg_ekf[target], folder)
     board = bench.Board(bench.link(folder, "marg_ekf", target))
     answers = board.estimate(layout.constants(SITE) + layout.constants(SENSORS), bench.rows_of(BLOCK))
     assert same(_read(answers), expected("marg-ekf"))
+
+
+@pytest.fixture(scope="module")
+def marg_ekf() -> dict[str, Emitted]:
+    return emit("marg-ekf", {}, SITE, SENSORS, ["wasm32", "cortex-m7", "cortex-m4f"])
 
 
 def _read(answers: bytes) -> Any:
