@@ -20,8 +20,9 @@ def output_of(*arguments: str, capsys: pytest.CaptureFixture[str]) -> str:
 
 
 def test_help_names_every_command_once_and_in_order(capsys: pytest.CaptureFixture[str]) -> None:
-    names = re.findall(r"^    (\w+) ", output_of("--help", capsys=capsys), re.M)
-    assert names == [command.__name__.rpartition(".")[2].replace("listing", "list") for command in cli._COMMANDS]
+    names = re.findall(r"^    ([\w-]+) ", output_of("--help", capsys=capsys), re.M)
+    modules = [command.__name__.rpartition(".")[2] for command in cli._COMMANDS]
+    assert names == [name.replace("listing", "list").replace("_", "-") for name in modules]
     assert len(names) == len(set(names)) and names[0] == "fly"
 
 
