@@ -216,8 +216,8 @@ def _linked(kernels: Mapping[str, tuple[str, str]], target: Target) -> bytes:
     options.loop_vectorization = options.slp_vectorization = False
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(whole, builder)
-    code: bytes = machine.emit_object(whole)
-    return code
+    made: bytes = machine.emit_object(whole)
+    return made
 
 
 def _size(code: bytes) -> int:
