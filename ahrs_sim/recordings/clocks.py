@@ -13,7 +13,7 @@ import numpy as np
 
 from ahrs_sim.errors import InputError
 from ahrs_sim.log.mcap.reader import stamps
-from ahrs_sim.recordings.mapping import Choice
+from ahrs_sim.recordings.choosing import Choice
 from ahrs_sim.recordings.sources import Source
 
 STEP_NS = 10**9

@@ -16,8 +16,9 @@ import numpy as np
 
 from ahrs_sim.log.mcap.reader import stamps, vector
 from ahrs_sim.recordings import frames
+from ahrs_sim.recordings.choosing import RECORDED, Choice
 from ahrs_sim.recordings.clocks import OTHER_CLOCK_NS, Clocks
-from ahrs_sim.recordings.mapping import Choice, Map
+from ahrs_sim.recordings.mapping import Map
 from ahrs_sim.sensors import air_data
 from ahrs_sim.sensors.records import (
     AirRecord,
@@ -36,9 +37,6 @@ from estimators.types import blank
 
 HOLD_NS = 10**9
 """How much later than the newest a message may be and still be put in its place."""
-
-RECORDED = "recorded "
-"""What the kind of an attitude begins with that the vehicle itself estimated; the estimator's name follows."""
 
 APART_NS = 2 * 10**8
 """Accelerations further apart than this say nothing of the time between them."""

@@ -69,7 +69,7 @@ def _merged(base: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
 
 def _fits(path: Path, csv: Mapping[str, Any]) -> bool:
     """Test whether the columns that a map needs, and its times, are in the files that it names."""
-    from ahrs_sim.recordings.sources.tables import header_of
+    from ahrs_sim.recordings.sources.text import header_of
 
     needed = False
     for kind in (v for v in csv.values() if isinstance(v, dict) and "column" not in v and not v.get("optional")):

@@ -14,10 +14,11 @@ import numpy as np
 import estimators as library
 from ahrs_sim.errors import InputError
 from ahrs_sim.recordings import calibration as calibrating
-from ahrs_sim.recordings import checks, clocks, frames, inertial, mapping, presets, survey
-from ahrs_sim.recordings.convert import RECORDED, Calibration, Converter
+from ahrs_sim.recordings import checks, choosing, clocks, frames, inertial, mapping, presets, survey
+from ahrs_sim.recordings.choosing import RECORDED, Choice
+from ahrs_sim.recordings.convert import Calibration, Converter
 from ahrs_sim.recordings.installation import Installation, find
-from ahrs_sim.recordings.mapping import SUITE, Choice, Map
+from ahrs_sim.recordings.mapping import SUITE, Map
 from ahrs_sim.recordings.sources import DATES_FROM_NS, Source, open_source
 from ahrs_sim.scenario import Component, Gate, code, estimator_component, short_name
 from ahrs_sim.sensors.records import SuiteBlock, within
@@ -194,7 +195,7 @@ def _opened(
         site=site,
         sensors=sensors,
         estimators=components,
-        converter=Converter(chosen, map_, calibration, source.epoch_ns, _first_height(source, chosen), clock),
+        converter=Converter(chosen, map_, calibration, source.epoch_ns, choosing.first_height(source, chosen), clock),
         metadata=metadata,
         notes=notes,
         span=span,
@@ -211,18 +212,18 @@ def _looked(
     """Topics by kind, a look at all of their messages within a span (s), their clocks, and what to say of that."""
     path = source.path
     passed: list[str] = []
-    chosen = mapping.choose(source, map_, passed)
-    chosen |= _recorded(source, chosen.get("reference"))
+    chosen = choosing.choose(source, map_, passed)
+    chosen |= choosing.recorded(source, chosen.get("reference"))
     topics = [c.topic.name for c in chosen.values()]
     nothing = Calibration(np.zeros(3), np.eye(3), map_.gyro_bias)
     clock = clocks.examine(source, chosen, map_.stamps, {k for k, shift in map_.shifts.items() if shift}, span)
-    first = Converter(chosen, map_, nothing, source.epoch_ns, _first_height(source, chosen), clock)
+    first = Converter(chosen, map_, nothing, source.epoch_ns, choosing.first_height(source, chosen), clock)
     seen = survey.look(within(b, *_nanoseconds(span)) for b in _magnetometer_as_is(first, source, topics))
     if not len(seen.t) and (span[0] > 0.0 or span[1] < math.inf):
         raise InputError(f"{path}: --skip/--until: no message of {chosen['imu'].topic.name} is left")
     if not len(seen.t):
         raise InputError(f"{path}: {chosen['imu'].topic.name} has no usable message; check stamps and [time] stamps")
-    notes = [*mapping.described(chosen, source.duration), *passed, *source.notes]
+    notes = [*choosing.described(chosen, source.duration), *passed, *source.notes]
     notes += clock.notes
     return chosen, seen, clock, notes
 
@@ -230,25 +231,6 @@ def _looked(
 def _nanoseconds(span: tuple[float, float]) -> tuple[float, float]:
     """Of a span (s), from the very first message where it begins at 0: that was stamped before it was logged."""
     return 1e9 * span[0] if span[0] > 0.0 else -math.inf, 1e9 * span[1]
-
-
-def _first_height(source: Source, chosen: Mapping[str, Choice]) -> float:
-    """Of the first fix in three dimensions, m; 0 without any."""
-    if "fix" not in chosen:
-        return 0.0
-    name = chosen["fix"].topic.name
-    for block in source.blocks([name]):
-        height = block[name]["altitude"][block[name]["status"]["status"] >= 0]
-        if np.isfinite(height).any():
-            return float(height[np.isfinite(height)][0])
-    return 0.0
-
-
-def _recorded(source: Source, reference: Choice | None) -> dict[str, Choice]:
-    """Attitudes that the vehicle itself estimated, but for the reference."""
-    topics = {t.name: t for t in source.topics()}
-    named = {n: topics[t] for n, t in source.recorded.items() if reference is None or t != reference.topic.name}
-    return {f"{RECORDED}{name}": Choice(topic, "FRD", "NED") for name, topic in named.items()}
 
 
 def _magnetometer_as_is(converter: Converter, source: Source, topics: list[str]) -> Iterator[SuiteBlock]:

@@ -4,7 +4,7 @@ mcap        MCAP: ROS 2 by our own reader; ROS 1, JSON, protobuf of the standard
 rosbag      ROS 2 bags in SQLite and ROS 1 bags, by rosbags
 ulog        PX4's ULog
 dataflash   ArduPilot's DataFlash
-tables      CSV and the like, by pandas
+tables      CSV and the like, as a map says; text: one such file, by pandas
 
 What is no bag is laid out as the standard messages, so that whatever follows knows one form only.
 """

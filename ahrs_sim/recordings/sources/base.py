@@ -181,6 +181,33 @@ class Held:
         """Nothing is open."""
 
 
+class BinaryLog(Held):
+    """A log of an autopilot: damage leaves stamps that are anything, and bytes that belong to no message."""
+
+    left_out = 0  # messages so far whose time is not that of those around them
+
+    def _in_time(self, made: Columns, sane: np.ndarray | None = None) -> Columns:
+        """Pick the rows whose time can be, of the longest stretch without a step back of the clock."""
+        good = believable(made.ns) if sane is None else believable(made.ns) & sane
+        made = made if good.all() else made.picked(np.flatnonzero(good))
+        part, steps = longest_part(made.ns)
+        self.left_out += len(good) - (part.stop - part.start)
+        return made.picked(np.arange(part.start, part.stop)) if steps else made
+
+    def _damage(self, refused: Sequence[str], lost: int) -> None:
+        """Note what could not be read: descriptions, and bytes."""
+        self.notes += refused
+        if lost:
+            self.notes.append(f"{lost} bytes of the file belong to no message: damaged or cut off there")
+        if self.left_out:
+            self.notes.append(f"{self.left_out} messages left out: their time is not that of those around them")
+
+
+def numbered(name: str, number: int) -> str:
+    """Name the topic of an instance of a message."""
+    return f"{name}[{number}]" if number else name
+
+
 def gathered(*makers: Callable[[], Iterable[tuple[str, Columns]]]) -> tuple[dict[str, Columns], list[str]]:
     """Topics of all makers, and a line for each that fails: a damaged description spoils its own topics only."""
     topics: dict[str, Columns] = {}

@@ -24,12 +24,11 @@ from ahrs_sim.recordings.sources.base import (
     NED,
     PRESSURE,
     VELOCITY,
+    BinaryLog,
     Columns,
-    Held,
-    believable,
     from_gps,
     gathered,
-    longest_part,
+    numbered,
 )
 
 _TYPES = {
@@ -169,7 +168,7 @@ def _text(value: bytes) -> str:
     return value.split(b"\0")[0].decode("ascii", errors="replace")
 
 
-class DataFlash(Held):
+class DataFlash(BinaryLog):
     """An ArduPilot log as topics named like its messages, `IMU`, `IMU[1]`, `GPS/fix`, `GPS/velocity`."""
 
     form = "ArduPilot DataFlash"
@@ -177,7 +176,6 @@ class DataFlash(Held):
     def __init__(self, path: Path) -> None:
         self._log = Messages(path)
         self._offset = self._utc_offset()
-        self._back = 0
         topics, refused = gathered(
             self._imu, self._raw_imu, self._mag, self._gps, self._pressure, self._air, self._attitudes
         )
@@ -186,11 +184,7 @@ class DataFlash(Held):
                 f"{path}: DataFlash without IMU, ATT or GPS messages (it has {', '.join(self._log.names)})"
             )
         super().__init__(path, topics, ATTITUDES)
-        self.notes += refused
-        if self._log.lost:
-            self.notes.append(f"{self._log.lost} bytes of the file belong to no message: damaged or cut off there")
-        if self._back:
-            self.notes.append(f"{self._back} messages left out: their time is not that of those around them")
+        self._damage(refused, self._log.lost)
 
     def _utc_offset(self) -> int:
         """Compute the offset from the board's clock to UTC by its GNSS, ns; 0 without."""
@@ -207,19 +201,14 @@ class DataFlash(Held):
     def _columns(self, type_name: str, rows: np.ndarray, fields: Mapping[str, np.ndarray], **more: Any) -> Columns:
         names = rows.dtype.names or ()
         clock = rows["TimeUS"].astype(np.int64) * 1000 if "TimeUS" in names else rows["TimeMS"].astype(np.int64) * 10**6
-        made = Columns(type_name, clock + self._offset, dict(fields), **more)
-        good = believable(made.ns)
-        made = made.picked(np.flatnonzero(good))
-        part, steps = longest_part(made.ns)
-        self._back += len(good) - (part.stop - part.start)
-        return made.picked(np.arange(part.start, part.stop)) if steps else made
+        return self._in_time(Columns(type_name, clock + self._offset, dict(fields), **more))
 
     def _units(self, name: str, needed: tuple[str, ...]) -> Iterator[tuple[str, str, int, np.ndarray]]:
         """Topic, message name, rank and rows of each unit of which all fields are there."""
         for k, written, rows in self._log.instances(name):
             columns = set(rows.dtype.names or ())
             if set(needed) <= columns and {"TimeUS", "TimeMS"} & columns:
-                topic = name if k == 0 else written if written != name else f"{name}[{k}]"
+                topic = written if k and written != name else numbered(name, k)
                 yield topic, written, k, rows
 
     def _vector(self, written: str, rows: np.ndarray, columns: tuple[str, ...], default: float = 1.0) -> np.ndarray:

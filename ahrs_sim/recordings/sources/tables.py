@@ -18,11 +18,7 @@
 A column is found by its name, without regard to case and punctuation, "a|b" is either, "*:x" ends in `:x`.
 """
 
-import io
-import itertools
-import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +44,7 @@ from ahrs_sim.recordings.sources.base import (
     longest_part,
     one_line,
 )
+from ahrs_sim.recordings.sources.text import ISO_DATE, TextTable, read_file
 from ahrs_sim.scenario.table import Table
 
 _KINDS: dict[str, tuple[str, dict[str, tuple[str, int, str]]]] = {  # type; by key of the map: field, size, dimension
@@ -70,278 +67,15 @@ _KINDS: dict[str, tuple[str, dict[str, tuple[str, int, str]]]] = {  # type; by k
     "reference": (ATTITUDE, {"euler": ("quaternion", 3, "rad"), "quaternion": ("quaternion", 4, "")}),
 }
 _CHANGES_ONLY = ("fix", "velocity", "heading")
-_SPELT = {
-    "us": "us", "usec": "us", "µs": "us", "ms": "ms", "msec": "ms", "ns": "ns", "nsec": "ns", "s": "s", "sec": "s",
-    "rads1": "rad/s", "rads": "rad/s", "rad/s": "rad/s", "rads^-1": "rad/s", "radians/second": "rad/s",
-    "deg/s": "deg/s", "°/s": "deg/s", "dps": "deg/s", "degs^-1": "deg/s", "degrees/second": "deg/s",
-    "m/s^2": "m/s2", "m/s2": "m/s2", "m/s²": "m/s2", "ms^-2": "m/s2", "ms-2": "m/s2", "g": "g", "mg": "mg",
-    "µt": "uT", "ut": "uT", "nt": "nT", "t": "T", "gauss": "G", "mgauss": "mG", "deg": "deg", "°": "deg",
-    "degrees": "deg", "rad": "rad", "radians": "rad", "m": "m", "meters": "m", "m/s": "m/s", "ms-1": "m/s",
-    "ms^-1": "m/s", "hpa": "hPa", "pa": "Pa", "pascal": "Pa", "mbar": "mbar", "kpa": "kPa", "km/h": "km/h",
-}  # fmt: skip
-"""Units as headers spell them, in small letters without blanks, dots and stars."""
-
 _DIMENSIONS = {
     "rad/s": ("rad/s", "deg/s"), "m/s2": ("m/s2", "m/s^2", "g", "mg"), "T": ("T", "uT", "nT", "G", "mG"),
     "deg": ("deg", "rad"), "rad": ("rad", "deg"), "m": ("m", "ft"), "m/s": ("m/s", "km/h", "kt"),
     "Pa": ("Pa", "hPa", "mbar", "kPa"),
 }  # fmt: skip
-_BRACKETS = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
-_SEPARATORS = (",", ";", "\t", "|")
-_ISO = re.compile(r"^\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
 _FEWEST_TIMES = 0.5
 """Share of the rows of an IMU that must have a time of their own."""
 
 CSV_KEYS = ("separator", "decimal", "encoding", "comment", "skip_rows", "file", "time")
-
-
-@dataclass
-class _File:
-    """One file, read."""
-
-    path: Path
-    frame: Any  # pandas
-    units: list[str]  # by column, "" where the header says nothing
-    first_row: int  # line of the first data row, from 1
-    notes: list[str] = field(default_factory=list)
-
-    def place(self, name: str) -> int:
-        """Index of a column; -1: there is none."""
-        names = [str(c) for c in self.frame.columns]
-        for one in name.split("|") if name not in names else [name]:
-            if one in names:
-                return names.index(one)
-            if one.startswith("*"):
-                found = [i for i, n in enumerate(names) if n.endswith(one[1:])]
-            else:
-                found = [i for i, n in enumerate(names) if _plain(n) == _plain(one)]
-            if found:
-                return found[0]
-        return -1
-
-    def numbers(self, name: str, table: Table, key: str = "columns") -> np.ndarray:
-        """A column (n,) as numbers, NaN where there is none; what is no number is counted."""
-        import pandas
-
-        i = self.place(name)
-        if i < 0:
-            known = [str(c) for c in self.frame.columns]
-            raise table.error(key, f"no column '{name}' in the file{nearest(name, known)}")
-        column = self.frame.iloc[:, i]
-        numbers: np.ndarray = pandas.to_numeric(column, errors="coerce").to_numpy(float)
-        if column.dtype.kind not in "fiu":
-            lost = np.flatnonzero(np.isnan(numbers) & column.notna().to_numpy())
-            if len(lost) and len(lost) == int(column.notna().sum()):
-                raise table.error(key, f"{name}: {self.no_number(column, lost[0])}")
-            if len(lost):
-                many = "values are no numbers" if len(lost) > 1 else "value is no number"
-                self.notes.append(
-                    f"{self.path.name}: {name}: {len(lost)} {many}, the first in {self.cell(column, lost[0])}"
-                )
-        return numbers
-
-    def cell(self, column: Any, i: int) -> str:
-        """Where a value stands, and what it is."""
-        return f"row {self.first_row + i}: '{str(column.iloc[i])[:40]}'"
-
-    def no_number(self, column: Any, i: int) -> str:
-        """A line for a value that should be a number."""
-        return f"no number in {self.cell(column, i)}"
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[\W_]+", "", _BRACKETS.sub("", name)).lower()
-
-
-# ----------------------------------------------------------------------------------------------- one file
-
-
-def read_file(path: Path, keys: Mapping[str, Any], where: str) -> _File:
-    """Read a table of text, whatever stands before its header and however it separates its columns.
-
-    Args:
-        path: the file.
-        keys: what the map says: separator, decimal, encoding, comment, skip_rows.
-        where: of the map, for messages.
-
-    Raises:
-        InputError: it cannot be read, or there is no table in it.
-    """
-    import pandas
-
-    notes: list[str] = []
-    text = _text(path, keys.get("encoding"), notes)
-    comment = keys.get("comment")
-    skip = int(keys.get("skip_rows", 0))
-    head, start, separator, second = _header(path, text, skip, keys.get("separator"), comment)
-    body = text[start:]
-    decimal = keys.get("decimal") or _decimal(body, separator)
-    names, units = _named(head, second)
-    sep = r"\s+" if separator == " " else separator
-    bad: list[int] = []
-
-    def left_out(cells: list[str]) -> None:
-        bad.append(len(cells))
-
-    options: dict[str, Any] = {"sep": sep, "decimal": decimal, "header": None, "names": names, "index_col": False,
-                               "skipinitialspace": True, "skip_blank_lines": True}  # fmt: skip
-    lines = [line for line in body.splitlines(keepends=True) if not line.startswith(comment)] if comment else None
-    stream = io.StringIO(body if lines is None else "".join(lines))
-    try:
-        try:
-            frame = pandas.read_csv(stream, low_memory=False, on_bad_lines="error", **options)
-        except (pandas.errors.ParserError, ValueError):
-            stream.seek(0)
-            frame = pandas.read_csv(stream, engine="python", on_bad_lines=left_out, **options)
-    except (OSError, ValueError, OverflowError, pandas.errors.ParserError, re.error) as error:
-        raise InputError(f"{path}: no CSV: {one_line(error)} ({where}: [csv])") from None
-    if bad:
-        notes.append(f"{path.name}: {len(bad)} rows with too many cells left out")
-    if not len(frame):
-        raise InputError(f"{path}: no CSV: no rows under its header")
-    return _File(path, frame, units, 1 + text[:start].count("\n"), notes)
-
-
-def header_of(path: Path) -> _File | None:
-    """The names of the columns of a table of text, without its rows; None: it is none."""
-    import pandas
-
-    try:
-        with path.open("rb") as stream:
-            beginning = stream.read(1 << 16)
-        text = _decoded(path, beginning[: beginning.rfind(b"\n") + 1 or None], None, [])
-        head, _, _, second = _header(path, text, 0, None, None)
-    except (OSError, InputError):
-        return None
-    names, units = _named(head, second)
-    return _File(path, pandas.DataFrame(columns=names), units, 1)
-
-
-def _text(path: Path, encoding: str | None, notes: list[str]) -> str:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {(error.strerror or str(error)).lower()}") from None
-    return _decoded(path, data, encoding, notes)
-
-
-def _decoded(path: Path, data: bytes, encoding: str | None, notes: list[str]) -> str:
-    tried = (
-        [encoding] if encoding else ["utf-16"] if data[:2] in (b"\xff\xfe", b"\xfe\xff") else ["utf-8-sig", "cp1252"]
-    )
-    for name in tried:
-        try:
-            text = data.decode(name)
-        except LookupError:
-            raise InputError(f"{path}: no CSV: encoding '{name}' is not known") from None
-        except UnicodeDecodeError:
-            continue
-        if "\0" in text[:10000]:
-            break
-        if name == "cp1252" and not encoding:
-            notes.append(f"{path.name}: not UTF-8, read as cp1252 ([csv] encoding)")
-        return text
-    raise InputError(f"{path}: no CSV: it is no text in {' or '.join(tried)} ([csv] encoding)")
-
-
-def _header(
-    path: Path, text: str, skip: int, separator: str | None, comment: str | None
-) -> tuple[list[str], int, str, list[str] | None]:
-    """Cells of the header, where the data start, the separator, and a second line of the header if there is one."""
-    lines = list(itertools.islice(_lines(text), 400))[skip:]
-    if comment:
-        lines = [(at, line) for at, line in lines if not line.startswith(comment)]
-    lines = [(at, line) for at, line in lines if line.strip()]
-    if len(lines) < 2:
-        raise InputError(f"{path}: no CSV: no rows under a header")
-    last = [line for _, line in lines[-20:]]
-    found = separator or _separator(last)
-    width = int(np.median([len(_cells(line, found)) for line in last]))
-    for i, (_, line) in enumerate(lines[:-1]):
-        cells = _cells(line.lstrip("#%").strip() if not comment else line, found)
-        while len(cells) > width and not cells[-1]:
-            cells.pop()
-        if len(cells) == width and not all(_is_number(c) or not c for c in cells):
-            following = _cells(lines[i + 1][1], found)
-            commented = lines[i + 1][1].startswith(("//", "#"))
-            if commented or (len(following) != width and i + 2 < len(lines) and not line.startswith("#")):
-                continue
-            second = None
-            data = i + 1
-            texts = [c for c in following if c]
-            plain = not any(_is_number(c) or _ISO.match(c) for c in texts)
-            if texts and plain and i + 2 < len(lines) and _some_number(_cells(lines[i + 2][1], found)):
-                second, data = following, i + 2
-            return cells, lines[data][0], found, second
-    raise InputError(f"{path}: no CSV: no header with the names of the columns above its rows of {width}")
-
-
-def _lines(text: str) -> Iterator[tuple[int, str]]:
-    at = 0
-    while at < len(text):
-        end = text.find("\n", at)
-        end = len(text) if end < 0 else end
-        yield at, text[at:end].rstrip("\r")
-        at = end + 1
-
-
-def _cells(line: str, separator: str) -> list[str]:
-    parts = line.split() if separator == " " else line.split(separator)
-    return [p.strip().strip('"').strip() for p in parts]
-
-
-def _separator(lines: Sequence[str]) -> str:
-    """What the lines are divided by equally often; decimal commas stand between digits and are no separators."""
-    best, most = " ", 0
-    for separator in _SEPARATORS:
-        counts = {line.count(separator) for line in lines}
-        if len(counts) == 1 and (n := counts.pop()) > 0:
-            mixed = separator == "," and any(s in lines[0] for s in (";", "\t", "|"))
-            if not mixed and n > most:
-                best, most = separator, n
-    if most == 0:
-        totals = {s: sum(line.count(s) for line in lines) for s in _SEPARATORS}
-        best = max(totals, key=lambda s: totals[s]) if max(totals.values()) else " "
-    return best
-
-
-def _decimal(body: str, separator: str) -> str:
-    sample = body[:20000]
-    comma = separator != "," and re.search(r"(^|[;\t| ])-?\d+,\d+", sample, re.M)
-    return "," if comma and not re.search(r"\d\.\d", sample) else "."
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell.replace(",", "."))
-    except ValueError:
-        return False
-    return True
-
-
-def _some_number(cells: Sequence[str]) -> bool:
-    return any(_is_number(c) or _ISO.match(c) for c in cells)
-
-
-def _named(head: Sequence[str], second: Sequence[str] | None) -> tuple[list[str], list[str]]:
-    """Names of the columns, made different, and the units in them or in the line below."""
-    names: list[str] = []
-    units = []
-    for i, cell in enumerate(head):
-        name = cell or f"column {i + 1}"
-        names.append(name if name not in names else f"{name}.{names.count(name)}.{i}")
-        below = second[i].strip("[]() ") if second and i < len(second) else ""
-        match = _BRACKETS.search(cell)
-        units.append(_unit(below) or (_unit(match[1]) if match else ""))
-    return names, units
-
-
-def _unit(text: str) -> str:
-    spelt = re.sub(r"[\s.*·]", "", text).lower()
-    return _SPELT.get(spelt, "")
-
-
-# ----------------------------------------------------------------------------------------------- the map
 
 
 class Csv(Held):
@@ -358,7 +92,7 @@ class Csv(Held):
                 "(ahrs-sim list maps); see docs/replay.md"
             )
         self._root = path
-        self._files: dict[tuple[Path, str], _File] = {}
+        self._files: dict[tuple[Path, str], TextTable] = {}
         self._said: list[str] = []
         shared = {k: table.value(k) for k in CSV_KEYS if table.has(k)}
         topics: dict[str, Columns] = {}
@@ -396,7 +130,7 @@ class Csv(Held):
                 made[name] = columns
         return made
 
-    def _file(self, keys: Mapping[str, Any], table: Table, optional: bool) -> _File | None:
+    def _file(self, keys: Mapping[str, Any], table: Table, optional: bool) -> TextTable | None:
         """The file that a kind stands in, read once."""
         path = self._root
         for name in ("separator", "decimal", "encoding", "comment", "file"):
@@ -424,8 +158,8 @@ class Csv(Held):
         return self._files[key]
 
     def _messages(
-        self, kind: str, given: Mapping[str, Table], file: _File, keys: Mapping[str, Any], table: Table, whole: Table,
-        split: bool,
+        self, kind: str, given: Mapping[str, Table], file: TextTable, keys: Mapping[str, Any], table: Table,
+        whole: Table, split: bool,
     ) -> dict[str, Columns]:  # fmt: skip
         """The topics of one kind in one file."""
         _, fields = _KINDS[kind]
@@ -448,7 +182,7 @@ class Csv(Held):
             }  # fmt: skip
         return {kind: self._selected(kind, columns, ns, good, file)}
 
-    def _values(self, key: str, entry: Table, file: _File, size: int, dimension: str) -> np.ndarray:
+    def _values(self, key: str, entry: Table, file: TextTable, size: int, dimension: str) -> np.ndarray:
         """Values (n, size) in SI of an entry like `{columns = [...], unit = "deg/s"}`."""
         names = _names(entry, size)
         if key == "status":
@@ -486,7 +220,7 @@ class Csv(Held):
         unit = entry.choice("unit", list(UNITS), fallback) if fallback else entry.choice("unit", list(UNITS))
         return unit, UNITS[unit]
 
-    def _times(self, keys: Mapping[str, Any], owner: Table, file: _File) -> tuple[np.ndarray, np.ndarray]:
+    def _times(self, keys: Mapping[str, Any], owner: Table, file: TextTable) -> tuple[np.ndarray, np.ndarray]:
         """Times (n,) ns and whether each row has one."""
         if not isinstance(keys.get("time"), dict):
             raise owner.error("time", 'missing; name its column: time = {column = "t", unit = "s"}')
@@ -501,7 +235,7 @@ class Csv(Held):
         return seconds_ns, finite
 
     def _selected(
-        self, kind: str, columns: Mapping[str, np.ndarray], ns: np.ndarray, good: np.ndarray, file: _File
+        self, kind: str, columns: Mapping[str, np.ndarray], ns: np.ndarray, good: np.ndarray, file: TextTable
     ) -> Columns:
         """The rows that say something new, in the order of time."""
         rows = np.flatnonzero(good)
@@ -522,7 +256,7 @@ class Csv(Held):
         chosen = {k: (v[rows] if v.shape[1] > 1 else v[rows, 0]) for k, v in columns.items()}
         return Columns(_KINDS[kind][0], ns[rows], chosen, frame_id)
 
-    def _forward(self, ns: np.ndarray, rows: np.ndarray, file: _File) -> np.ndarray:
+    def _forward(self, ns: np.ndarray, rows: np.ndarray, file: TextTable) -> np.ndarray:
         """Rows in the order of time: turned round where they descend, the longest part where the clock steps back."""
         steps = np.diff(ns[rows])
         if len(steps) > 2 and (steps <= 0).all() and (steps < 0).any():
@@ -553,7 +287,7 @@ def _names(entry: Table, size: int) -> list[str]:
     return names
 
 
-def _clock(table: Table, file: _File) -> np.ndarray:
+def _clock(table: Table, file: TextTable) -> np.ndarray:
     """Time (n,) in ns as the table's `time` describes it; NaN where a row has none."""
     if table.has("week"):
         week, seconds = (file.numbers(table.text(k), table, k) for k in ("week", "seconds"))
@@ -581,12 +315,12 @@ def _clock(table: Table, file: _File) -> np.ndarray:
     return ticks
 
 
-def _is_date(file: _File, name: str) -> bool:
+def _is_date(file: TextTable, name: str) -> bool:
     column = file.frame.iloc[:, file.place(name)].dropna()
-    return bool(len(column) and _ISO.match(str(column.iloc[0])))
+    return bool(len(column) and ISO_DATE.match(str(column.iloc[0])))
 
 
-def _dated(file: _File, name: str, table: Table) -> np.ndarray:
+def _dated(file: TextTable, name: str, table: Table) -> np.ndarray:
     import pandas
 
     i = file.place(name)
@@ -612,7 +346,7 @@ def _dated(file: _File, name: str, table: Table) -> np.ndarray:
     return out
 
 
-def _calendar(table: Table, file: _File) -> np.ndarray:
+def _calendar(table: Table, file: TextTable) -> np.ndarray:
     """From columns year, month, day, hour, minute, second and perhaps nanosecond."""
     parts = {k: file.numbers(table.text(k), table, k) for k in ("year", "month", "day", "hour", "minute", "second")}
     more = file.numbers(table.text("nanosecond"), table, "nanosecond") if table.has("nanosecond") else 0.0

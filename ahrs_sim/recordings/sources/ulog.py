@@ -26,11 +26,10 @@ from ahrs_sim.recordings.sources.base import (
     NED,
     PRESSURE,
     VELOCITY,
+    BinaryLog,
     Columns,
-    Held,
-    believable,
     gathered,
-    longest_part,
+    numbered,
 )
 
 MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
@@ -183,7 +182,7 @@ class Messages:
         return out.view(s.dtype)[:, 0] if len(out) else np.empty(0, s.dtype)
 
 
-class Ulog(Held):
+class Ulog(BinaryLog):
     """A PX4 log as topics named like its messages."""
 
     form = "PX4 ULog"
@@ -191,7 +190,6 @@ class Ulog(Held):
     def __init__(self, path: Path) -> None:
         self._log = Messages(path)
         self._offset = self._utc_offset()
-        self._back = 0
         topics, refused = gathered(
             self._imu, self._raw_imu, self._mag, self._gnss, self._air, self._pressure, self._attitudes
         )
@@ -200,11 +198,7 @@ class Ulog(Held):
         super().__init__(path, topics, RECORDED)
         if self._log.dropouts:
             self.notes.append(f"{self._log.dropouts} dropouts of the logger, {self._log.dropped_s:.3f} s in all")
-        self.notes += refused
-        if self._log.lost:
-            self.notes.append(f"{self._log.lost} bytes of the file belong to no message: damaged or cut off there")
-        if self._back:
-            self.notes.append(f"{self._back} messages left out: their time is not that of those around them")
+        self._damage(refused, self._log.lost)
 
     def _utc_offset(self) -> int:
         """Compute the offset from the board's clock to UTC by its GNSS, ns; 0 without."""
@@ -223,20 +217,18 @@ class Ulog(Held):
         for i, rows in self._log.instances(name):
             if set(needed) <= set(rows.dtype.names or ()):
                 rows, fields, worse = make(rows)
-                topic = f"{name}[{i}]{suffix}" if i else f"{name}{suffix}"
-                yield topic, self._columns(type_name, rows, fields, rank=rank + i + 50 * worse, **more)
+                yield (
+                    f"{numbered(name, i)}{suffix}",
+                    self._columns(type_name, rows, fields, rank=rank + i + 50 * worse, **more),
+                )
 
     def _columns(self, type_name: str, rows: np.ndarray, fields: Mapping[str, np.ndarray], **more: Any) -> Columns:
         names = rows.dtype.names or ()
         sampled = "timestamp_sample" in names and rows["timestamp_sample"].any()
         clock = rows["timestamp_sample" if sampled else "timestamp"]
         sane = clock < 2**62 // 1000
-        made = Columns(type_name, np.where(sane, clock, 0).astype(np.int64) * 1000 + self._offset, dict(fields), **more)
-        good = believable(made.ns) & sane
-        made = made.picked(np.flatnonzero(good)) if not good.all() else made
-        part, steps = longest_part(made.ns)
-        self._back += len(good) - (part.stop - part.start)
-        return made.picked(np.arange(part.start, part.stop)) if steps else made
+        ns = np.where(sane, clock, 0).astype(np.int64) * 1000 + self._offset
+        return self._in_time(Columns(type_name, ns, dict(fields), **more), sane)
 
     def _imu(self) -> Iterator[tuple[str, Columns]]:
         def combined(rows: np.ndarray) -> Any:
