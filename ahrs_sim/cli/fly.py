@@ -23,6 +23,7 @@ from ahrs_sim.errors import FlightError, InputError
 
 if TYPE_CHECKING:
     from ahrs_sim.scenario import Scenario
+    from ahrs_sim.serve.simulators import Autopilot
     from ahrs_sim.serve.unit import Unit
 
 
@@ -81,7 +82,7 @@ def carry_out(
     stop: list[int],
     *,
     block_s: float,
-    unit: "Unit | None" = None,
+    unit: "Unit | Autopilot | None" = None,
     smooth: bool = False,
 ) -> None:
     """Fly, and print the accuracy table.
@@ -166,7 +167,7 @@ def _smooth(output: Path, scenario: "Scenario") -> None:
         made.unlink(missing_ok=True)
 
 
-def _print(arguments: argparse.Namespace, result: dict[str, Any], unit: "Unit | None") -> None:
+def _print(arguments: argparse.Namespace, result: dict[str, Any], unit: "Unit | Autopilot | None") -> None:
     from ahrs_sim.review import compare
 
     if arguments.json:

@@ -1,26 +1,35 @@
-"""`ahrs-sim serve`: a flight in real time for a unit outside, whose attitude is logged beside the estimators."""
+"""`ahrs-sim serve`: a flight for a unit or an autopilot outside, whose attitude is logged beside the estimators."""
 
 import argparse
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ahrs_sim.cli import fly
 from ahrs_sim.cli.common import Commands, add_code, add_estimators, natural, positive
 from ahrs_sim.errors import InputError, nearest
+
+if TYPE_CHECKING:
+    from ahrs_sim.serve.simulators import Autopilot
+    from ahrs_sim.serve.unit import Unit
 
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
     command = commands.add_parser("serve", help="fly for a unit on a wire: its sensors out, its attitude into the log")
     command.add_argument("scenario", help="a TOML file, or the name of a shipped one (ahrs-sim list scenarios)")
-    command.add_argument(
-        "--serial", required=True, metavar="WIRE", help="pty, tcp:PORT, or a device: /dev/ttyUSB0@115200"
-    )
-    command.add_argument("--protocol", required=True, metavar="NAME", help="mavlink, vectornav, sbg or ubx+nmea")
+    command.add_argument("--serial", metavar="WIRE", help="pty, tcp:PORT, or a device: /dev/ttyUSB0@115200")
+    command.add_argument("--protocol", metavar="NAME", help="mavlink, vectornav, sbg or ubx+nmea")
     command.add_argument("--rate", type=positive, default=1.0, metavar="X", help="so many times real time")
+    command.add_argument(
+        "--simulator", choices=["px4", "ardupilot"], help="instead of a wire: be the simulator of this autopilot"
+    )
+    command.add_argument("--port", type=natural, metavar="N", help="where the autopilot looks for it (4560; 9002)")
+    command.add_argument("--mavlink", type=natural, metavar="N", help="where its attitude comes from (14540; 5760)")
     command.add_argument("--suite", metavar="NAME", help="whose sensors the unit sees (default: the scenario's first)")
-    command.add_argument("--name", default="unit", help="of the unit in log and table (default: unit)")
+    command.add_argument("--name", help="in log and table (default: unit, px4 or ardupilot)")
     command.add_argument("-o", "--output", type=Path, metavar="LOG", help="default: logs/SCENARIO-seedN.mcap")
     command.add_argument("--seed", type=natural, metavar="N", help="instead of the scenario's")
     add_estimators(command, "fly along: only this one, or METHOD@SUITE; may be repeated")
@@ -39,27 +48,53 @@ def run(arguments: argparse.Namespace) -> None:
     Raises:
         KeyboardInterrupt: stopped by Ctrl-C, after log and table have been completed.
     """
-    from ahrs_sim.serve import protocols
-    from ahrs_sim.serve.links import open_link
-    from ahrs_sim.serve.unit import BLOCK_S, Unit
+    from ahrs_sim.serve.unit import BLOCK_S
 
+    given = [bool(x) for x in (arguments.serial, arguments.protocol, arguments.simulator)]
+    if given not in ([True, True, False], [False, False, True]):
+        raise InputError("serve: give --serial WIRE and --protocol NAME, or --simulator px4|ardupilot")
     scenario = fly.scenario_of(arguments)
     suites = [s.name for s in scenario.suites]
     suite = arguments.suite or suites[0]
     if suite not in suites:
         raise InputError(f"{scenario.where}: no [suite.{suite}]{nearest(suite, suites)}")
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", arguments.name):
-        raise InputError(f"serve: --name {arguments.name}: letters, digits, - and _, a letter first")
-    if arguments.name in [e.name for e in scenario.estimators]:
-        raise InputError(f"{scenario.where}: --name {arguments.name}: an estimator of the scenario has this name")
+    name = arguments.name or arguments.simulator or "unit"
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", name):
+        raise InputError(f"serve: --name {name}: letters, digits, - and _, a letter first")
+    if name in [e.name for e in scenario.estimators]:
+        raise InputError(f"{scenario.where}: --name {name}: an estimator of the scenario has this name")
     output = fly.output_of(arguments, scenario)
-    protocol = protocols.make(arguments.protocol, scenario.epoch_ns)
-    link = open_link(arguments.serial)
     stop: list[int] = []
-    unit = Unit(arguments.name, suite, link, protocol, rate=arguments.rate, stopped=lambda: bool(stop))
-    print(f"ahrs-sim: waiting for the unit at {link.name}", file=sys.stderr, flush=True)
+    make = _autopilot if arguments.simulator else _unit
+    unit = make(arguments, name, suite, scenario.epoch_ns, lambda: bool(stop))
+    print(f"ahrs-sim: waiting for the {arguments.simulator or 'unit'} at {unit.where}", file=sys.stderr, flush=True)
     try:
         unit.wait()
         fly.carry_out(arguments, scenario, output, stop, block_s=BLOCK_S, unit=unit)
     finally:
         unit.close()
+
+
+def _unit(
+    arguments: argparse.Namespace, name: str, suite: str, epoch_ns: int, stopped: Callable[[], bool]
+) -> "Unit | Autopilot":
+    from ahrs_sim.serve import protocols
+    from ahrs_sim.serve.links import open_link
+    from ahrs_sim.serve.unit import Unit
+
+    protocol = protocols.make(arguments.protocol, epoch_ns)
+    return Unit(name, suite, open_link(arguments.serial), protocol, rate=arguments.rate, stopped=stopped)
+
+
+def _autopilot(
+    arguments: argparse.Namespace, name: str, suite: str, epoch_ns: int, stopped: Callable[[], bool]
+) -> "Unit | Autopilot":
+    from ahrs_sim.serve.readings import SWITCHED_ON_NS
+    from ahrs_sim.serve.simulators import AUTOPILOTS
+
+    if arguments.rate != 1.0:
+        raise InputError("serve: --rate is for --serial; an autopilot in lockstep goes as fast as it can")
+    cls = AUTOPILOTS[arguments.simulator]
+    asked = (arguments.port, arguments.mavlink)
+    port, answers = (b if a is None else a for a, b in zip(asked, cls.PORTS, strict=True))
+    return cls(name, suite, epoch_ns + SWITCHED_ON_NS, stopped, port=port, answers=answers)

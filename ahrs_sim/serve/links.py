@@ -44,14 +44,14 @@ class Link:
         """Wait until the unit is there; False when `stopped` first."""
         return not stopped()
 
-    def read(self) -> bytes:
-        """Return what has come, empty after a while without anything.
+    def read(self, seconds: float = _POLL_S) -> bytes:
+        """Return what has come, empty after so many seconds without anything.
 
         Raises:
             LinkLost: nothing will come any more.
         """
         try:
-            ready, _, _ = select.select([self._fd], [], [], _POLL_S)
+            ready, _, _ = select.select([self._fd], [], [], seconds)
             data = os.read(self._fd, 65536) if ready else b""
         except (OSError, ValueError) as error:
             raise LinkLost(getattr(error, "strerror", None) or "closed") from None
@@ -76,8 +76,9 @@ class Link:
 
     def close(self) -> None:
         """Close the wire."""
+        fd, self._fd = self._fd, -1
         with contextlib.suppress(OSError):
-            os.close(self._fd)
+            os.close(fd)
 
 
 class Pty(Link):
@@ -127,14 +128,14 @@ class Device(Link):
 class Tcp(Link):
     """A TCP port of this machine, to which one unit connects."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, option: str = "--serial") -> None:
         if port > 65535:
-            raise InputError(f"--serial tcp:{port}: ports go up to 65535; choose another port")
+            raise InputError(f"{option} tcp:{port}: ports go up to 65535; choose another port")
         try:
             self._server = socket.create_server(("127.0.0.1", port))
         except OSError as error:
             why = os.strerror(error.errno) if error.errno else error
-            raise InputError(f"--serial tcp:{port}: {why}; choose another port") from None
+            raise InputError(f"{option} tcp:{port}: {why}; choose another port") from None
         super().__init__(f"tcp:{self._server.getsockname()[1]}")
 
     def wait(self, stopped: Callable[[], bool]) -> bool:

@@ -88,7 +88,7 @@ def served(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         line = process.stderr.readline()
-        found = re.search(r"waiting for the unit at (\S+)", line)
+        found = re.search(r"waiting for the \w+ at (\S+)", line)
         assert found, line + process.stderr.read()
         try:
             yield process, found[1].removeprefix("tcp:")
@@ -109,10 +109,10 @@ def fly_with_unit(folder: Path, protocol: str, serial: str) -> dict[str, Any]:
     return result
 
 
-def differences(log: Path, inside: Estimates | None = None) -> np.ndarray:
+def differences(log: Path, inside: Estimates | None = None, name: str = "unit") -> np.ndarray:
     """Angles (n,) deg between the attitudes of the unit and in process, of the same samples."""
     with FlightReader(log) as reader:
-        unit = reader.estimates("unit")
+        unit = reader.estimates(name)
         inside = inside or reader.estimates("inside")
     known = np.isfinite(unit.q_nb[:, 0])
     rows = np.searchsorted(inside.t, unit.t[known] - 6e-4)

@@ -162,3 +162,32 @@ def sensors(reading: Reading) -> tuple[Any, ...]:
         diff, updated = reading.diff_pressure / 100.0, updated | 1 << 10
     celsius = reading.temperature - 273.15
     return (*reading.accel_b, *reading.gyro_b, *field, static, diff, height, celsius, updated)
+
+
+def hil_gps(position: Position, heading: Heading | None, zero_ns: int) -> tuple[Any, ...]:
+    """Lay out the fields of HIL_GPS: 1e-7 deg, mm above the ellipsoid, cm, cm/s, 0.01 deg.
+
+    Args:
+        position: of the receiver.
+        heading: of two antennas, when it has them.
+        zero_ns: of the stamps, ns since 1970.
+    """
+    placed, moving = np.isfinite(position.lla[0]), np.isfinite(position.vel_n[0])
+    latitude, longitude, height = np.nan_to_num(position.lla)
+    north, east, down = np.nan_to_num(position.vel_n)
+    accuracy = [round(100 * x) if placed else _NONE for x in (math.hypot(*position.sigma[:2]), position.sigma[2])]
+    course = round(math.degrees(math.atan2(east, north)) * 100) % 36000
+    return (
+        (zero_ns + position.t_ns) // 1000,
+        round(math.degrees(latitude) * 1e7),
+        round(math.degrees(longitude) * 1e7),
+        round(height * 1e3),
+        *accuracy,
+        round(100 * math.hypot(north, east)) if moving else _NONE,
+        *(round(100 * v) for v in (north, east, down)),
+        course if moving else _NONE,
+        3 if placed else 0,
+        position.satellites,
+        0,
+        round(math.degrees(heading.heading) * 100) % 36000 or 36000 if heading else 0,  # 0: none, 36000: north
+    )
