@@ -1,6 +1,7 @@
 """How late a unit answers, and how evenly: figures and histogram in real time."""
 
 import math
+from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,9 +15,9 @@ _BARS = 40
 class Timing:
     """Times of one flight, s of a real clock."""
 
-    latency: list[float] = field(default_factory=list)  # from sending a sample to its answer
-    spacing: list[float] = field(default_factory=list)  # between two answers, less that between their samples
-    lateness: list[float] = field(default_factory=list)  # of what was sent, behind its time
+    latency: "array[float]" = field(default_factory=lambda: array("d"))  # from sending a sample to its answer
+    spacing: "array[float]" = field(default_factory=lambda: array("d"))  # of two answers, less that of their samples
+    lateness: "array[float]" = field(default_factory=lambda: array("d"))  # of what was sent, behind its time
     sent: int = 0
     foreign: int = 0  # answers whose time is not of the stream's clock
     late: int = 0  # answers on a sample more than two seconds old: left out
@@ -50,8 +51,8 @@ class Timing:
 
     def _shares(self) -> dict[str, list[float]]:
         """Median, 95th, 99th percentile and maximum (s) of what there is."""
-        times = {"latency": self.latency, "jitter": np.abs(self.spacing).tolist(), "sending": self.lateness}
-        return {k: [float(x) for x in np.percentile(v, [50, 95, 99, 100])] for k, v in times.items() if v}
+        times = {"latency": self.latency, "jitter": np.abs(self.spacing), "sending": self.lateness}
+        return {k: [float(x) for x in np.percentile(v, [50, 95, 99, 100])] for k, v in times.items() if len(v)}
 
 
 def histogram(values: Sequence[float]) -> list[str]:

@@ -57,6 +57,7 @@ class Unit:
         self._begun = 0.0  # real clock at t = 0 of the flight, s
         self._reached = 0.0  # s of flight that were handed over
         self._sent = 0.0  # s of flight that were sent
+        self._bits = 0  # sent in the first second
         self._failure: Exception | None = None  # of a thread
         self._book = Book(protocol.resolution_ns, self.timing)
         self._threads: list[threading.Thread] = []
@@ -106,7 +107,8 @@ class Unit:
 
     def take_events(self) -> list[Event]:
         """Return what is worth knowing at the end: how the unit kept time, or why the link was lost."""
-        lines = self.timing.lines() if self._threads else []
+        pace = f"{self.suite} at {self._link.name}, {self.rate:g} times real time"
+        lines = [pace, *self.timing.lines()] if self._threads else []
         events = [Event(self._reached, "info", self.name, line) for line in lines]
         return events + ([Event(self._reached, "error", self.name, self.error)] if self.error else [])
 
@@ -141,6 +143,19 @@ class Unit:
                 self._book.sent(reading.t_ns, time.monotonic(), due)
                 self._link.write(data)
                 self._sent = reading.arrival_ns / 1e9
+                self._check_speed(len(data))
+
+    def _check_speed(self, size: int) -> None:
+        """Compare what goes out in the first second with what the wire carries.
+
+        Raises:
+            LinkLost: it is too slow.
+        """
+        if self._link.baud is None or self._sent > 1.0:
+            return
+        self._bits += 10 * size  # a byte with its start and stop bit
+        if self._bits * self.rate > self._link.baud:
+            raise LinkLost(f"the stream takes more than {self._link.baud} baud; use a faster one, or a lower rate_hz")
 
     def _receive(self) -> None:
         with self._guarded():

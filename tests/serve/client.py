@@ -42,6 +42,8 @@ def warm_up(estimator: Any, site: Site) -> None:
 
 
 def open_wire(name: str) -> int:
+    if name.startswith("fd:"):
+        return int(name[3:])
     if name.isdigit():
         wire = socket.create_connection(("127.0.0.1", int(name)))
         wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

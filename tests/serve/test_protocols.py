@@ -174,3 +174,19 @@ def test_gps_time_of_known_instants() -> None:
     assert gps_time(int(datetime.datetime(2024, 1, 7, tzinfo=datetime.UTC).timestamp()) * 10**9) == (2296, 18 * 10**9)
     assert pressure_altitude(101325.0) == 0.0
     assert pressure_altitude(89874.6) == pytest.approx(1000.0, abs=1.0)  # ICAO table
+
+
+@pytest.mark.parametrize("name", protocols.NAMES)
+def test_noise_on_the_wire_is_no_answer(name: str) -> None:
+    rng = np.random.default_rng(5)
+    protocol, reader = protocols.make(name, EPOCH_NS), READERS[name]()
+    (row,) = reader.rows(protocol.encode(reading()))
+    whole = reader.answer(row, Q, RPY[0])
+    for _ in range(300):
+        damaged = bytearray(whole)
+        for at in rng.integers(0, len(whole), 3):
+            damaged[at] = rng.integers(0, 256)
+        if bytes(damaged) != whole:
+            assert protocol.feed(bytes(damaged) + rng.bytes(rng.integers(0, 40))) == []
+    protocol.feed(bytes(600))
+    assert len(protocol.feed(whole)) == 1

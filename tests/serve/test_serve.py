@@ -2,12 +2,14 @@
 
 import dataclasses
 import json
+import os
 import re
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -232,3 +234,47 @@ def test_a_link_that_is_lost_ends_the_flight_with_a_complete_log(tmp_path: Path,
         t = reader.estimates("unit").t
         assert 9.0 < t[-1] < 13.0
         assert any(e.level == "error" and "link lost" in e.text for e in reader.events())
+
+
+def test_a_serial_device(tmp_path: Path) -> None:
+    path, (ours, theirs) = prepare(tmp_path, "sbg"), os.openpty()
+    device = os.ttyname(theirs)
+    options = ["--serial", f"{device}@921600", "--protocol", "sbg", "--rate", "4", "--duration", "12", "--json"]
+    known = str(tmp_path / "known.json")
+    with subprocess.Popen([sys.executable, str(CLIENT), f"fd:{ours}", "sbg", known], pass_fds=[ours]) as unit:
+        with served(path, *options, "-o", str(tmp_path / "x.mcap")) as (process, wire):
+            assert wire == device
+            out, err = process.communicate(timeout=120)
+        assert process.returncode == 0, err
+        os.close(theirs)
+        os.close(ours)
+        unit.wait(10)
+    assert json.loads(out)["timing"]["answers"] > 200
+
+
+def test_a_device_that_is_too_slow_is_one_line(tmp_path: Path) -> None:
+    path, (ours, theirs) = prepare(tmp_path, "sbg"), os.openpty()
+    os.set_blocking(ours, False)
+    options = ["--serial", f"{os.ttyname(theirs)}@38400", "--protocol", "sbg", "-o", str(tmp_path / "x.mcap")]
+    with served(path, *options) as (process, _):
+        while process.poll() is None:
+            with suppress(BlockingIOError):
+                os.read(ours, 4096)
+            time.sleep(0.01)
+        _, err = process.communicate()
+    os.close(ours)
+    os.close(theirs)
+    assert process.returncode == 1 and err.count("\n") == 1
+    assert "the stream takes more than 38400 baud; use a faster one, or a lower rate_hz" in err
+
+
+def test_the_log_gives_the_figures_that_were_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    printed = fly_with_unit(tmp_path, "vectornav", "pty")["estimators"]
+    assert cli.main(["compare", str(tmp_path / "x.mcap"), "--json"]) == 0
+    compared = json.loads(capsys.readouterr().out)["estimators"]
+    for name in ("inside", "unit"):
+        assert compared[name]["tilt_rmse_deg"] == pytest.approx(printed[name]["tilt_rmse_deg"], rel=1e-3)
+    replayed = str(tmp_path / "y.mcap")
+    assert cli.main(["replay", str(tmp_path / "x.mcap"), "-o", replayed, "--estimator", "inside", "--json"]) == 0
+    again = json.loads(capsys.readouterr().out)["estimators"]
+    assert again["unit"]["tilt_rmse_deg"] == compared["unit"]["tilt_rmse_deg"]

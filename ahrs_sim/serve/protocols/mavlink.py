@@ -2,6 +2,7 @@
 
 Framing, checksum and messages after https://mavlink.io/en/guide/serialization.html and the message set `common.xml`
 (https://mavlink.io/en/messages/common.html). Fields go over the wire by falling size of their type, extensions last.
+Heights are sent above the ellipsoid.
 """
 
 import math
