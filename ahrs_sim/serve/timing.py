@@ -1,4 +1,4 @@
-"""How late a unit answers, and how evenly: figures and histogram in real time."""
+"""How late a unit answers, and how evenly: figures and histograms in real time."""
 
 import math
 from array import array
@@ -25,7 +25,7 @@ class Timing:
     damaged: int = 0  # answers whose attitude is no rotation: left out
 
     def lines(self) -> list[str]:
-        """Describe the whole flight for a terminal, histogram included."""
+        """Describe the whole flight for a terminal, histograms included."""
         answered = len(self.latency) + self.foreign
         text = [f"{self.sent} samples sent, {answered} answers"]
         for count, what in (
@@ -39,8 +39,8 @@ class Timing:
         text.append(f"{'ms':10s}{'median':>9s}{'p95':>9s}{'p99':>9s}{'max':>9s}")
         for name, shares in self._shares().items():
             text.append(f"{name:10s}" + "".join(f"{1e3 * x:9.2f}" for x in shares))
-        if self.latency:
-            text += ["latency, ms", *histogram(self.latency)]
+        for name, values in (("latency", self.latency), ("jitter", np.abs(self.spacing))):
+            text += [f"{name}, ms", *histogram(values)] if len(values) else []
         return text
 
     def result(self) -> dict[str, Any]:
@@ -55,7 +55,7 @@ class Timing:
         return {k: [float(x) for x in np.percentile(v, [50, 95, 99, 100])] for k, v in times.items() if len(v)}
 
 
-def histogram(values: Sequence[float]) -> list[str]:
+def histogram(values: Sequence[float] | np.ndarray) -> list[str]:
     """Draw how often values (s) lie between powers of two of a millisecond, a line each."""
     bins = np.floor(np.log2(np.maximum(1e3 * np.asarray(values), 1e-3))).astype(int)
     lowest, counts = int(bins.min()), np.bincount(bins - bins.min())
