@@ -52,7 +52,8 @@ class Timing:
     def _shares(self) -> dict[str, list[float]]:
         """Median, 95th, 99th percentile and maximum (s) of what there is."""
         times = {"latency": self.latency, "jitter": np.abs(self.spacing), "sending": self.lateness}
-        return {k: [float(x) for x in np.percentile(v, [50, 95, 99, 100])] for k, v in times.items() if len(v)}
+        kept = {name: np.asarray(values) for name, values in times.items()}
+        return {k: [float(x) for x in np.percentile(v, [50, 95, 99, 100])] for k, v in kept.items() if len(v)}
 
 
 def histogram(values: Sequence[float] | np.ndarray) -> list[str]:
