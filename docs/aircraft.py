@@ -1,7 +1,8 @@
 """Fly every aircraft of JSBSim with the one autopilot and write what it did: `python docs/aircraft.py`.
 
-With names it flies those anew and takes the others from the last time, so too with `classes` the estimators in an
-aircraft of each class. Some twenty seconds an aircraft and core.
+With names it flies those anew and takes the others from the last time on this machine; with `classes` alone it flies
+the estimators in an aircraft of each class, and leaves the other tables as they are. Some twenty seconds an aircraft
+and core.
 """
 
 import math
@@ -220,7 +221,7 @@ def reasons(row: dict[str, Any]) -> list[str]:
 
 
 def page(rows: list[dict[str, Any]], by_class: list[dict[str, Any]]) -> str:
-    """The page."""
+    """The page; tables of which nothing is known stay as they are."""
     flown = [row for row in rows if "design" in row]
     table = [
         "| aircraft | kg | engines | stall | cruise | fastest | bank, deg | height, m | speed, % | circuit | load, g |",
@@ -240,7 +241,8 @@ def page(rows: list[dict[str, Any]], by_class: list[dict[str, Any]]) -> str:
     refused = [f"* **{row['name']}**: {row['refused'].strip().rstrip('.')}." for row in rows if "refused" in row]
     text = PAGE.read_text(encoding="utf-8")
     parts = {"flown": [counts, "", *table], "not flown": missing, "refused": refused, "classes": classes(by_class)}
-    for mark, lines in parts.items():
+    known = {"classes": by_class}
+    for mark, lines in ((mark, lines) for mark, lines in parts.items() if known.get(mark, rows)):
         text = re.sub(
             rf"(<!-- {mark} -->\n).*?(<!-- end {mark} -->)",
             lambda m, lines=lines: m[1] + "\n".join(lines) + "\n" + m[2],
@@ -264,6 +266,8 @@ def main() -> None:
     kept = [
         [RESULTS / f"{name}.pickle" for name in names] for names in (everyone, [f"class {kind}" for kind in CLASSES])
     ]
+    if wanted == ["classes"]:
+        kept[0] = []
     rows, by_class = ([pickle.loads(p.read_bytes()) for p in paths if p.is_file()] for paths in kept)
     PAGE.write_text(page(rows, by_class), encoding="utf-8")
 
