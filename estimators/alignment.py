@@ -1,6 +1,6 @@
 """Initial attitude, gyro bias and sensor noise from a stationary stretch.
 
-Second by second the stretch is judged: still when gyro and accelerometer scatter no more than their noise explains, the
+Each second of the stretch is classified: still when gyro and accelerometer scatter no more than their noise, the
 gyro's mean could be its bias and the accelerometer's mean gravity. `align_s` still seconds in a row give the alignment:
 attitude by TRIAD from mean specific force and mean field (down exactly, heading from the field), bias from the mean
 rate, noise covariances from the scatter. Motion before that ends it, too, when there was a still second: what was still

@@ -73,7 +73,7 @@ _ZHAO = "Zhao, Jia, Jin, Tian and Xiong 2015"
 _TIAN = "Tian, Sun, Li and Yan 2011"
 _YAO = "Yao 2012"
 _BELL = "Bell and Cathey 1993"
-_OWN = "beyond the papers"
+_OWN = "this project"
 
 _METHODS = (
     Method("marg-ekf", "Extended Kalman filter on quaternion, body rate and gyro bias", _HAN, "ekf", "marg"),
@@ -93,7 +93,7 @@ _METHODS = (
         "", "attitude_error", {"adaptation": "fuzzy"},
     ),
     Method(
-        "akf-standard", "Attitude error and gyro bias, noise as told: what fakf is compared with", _TIAN,
+        "akf-standard", "Attitude error and gyro bias, noise as given: what fakf is compared with", _TIAN,
         "", "attitude_error",
     ),
     Method(
@@ -154,7 +154,7 @@ def _found(point: metadata.EntryPoint) -> Method:
     except Exception as error:  # of a package that is broken; the others can be listed all the same
         return Method(point.name, f"cannot be loaded: {error}", "", "", point.value, own=False, given={})
     text = (made.__doc__ or "").strip().partition("\n")[0].removesuffix(".")
-    source, package = (str(getattr(made, told, "")) for told in ("SOURCE", "PACKAGE"))
+    source, package = (str(getattr(made, name, "")) for name in ("SOURCE", "PACKAGE"))
     settings: Mapping[str, Setting] = getattr(made, "SETTINGS", {})
     return Method(point.name, text, source, "", point.value, own=False, package=package, given=settings)
 
@@ -205,7 +205,7 @@ def prepare(
         native.listeners.append(report)
         try:
             prepare_one = getattr(create(name, **settings), "prepare", None)
-            if prepare_one is not None:  # the calibrating navigator compiles with its first block
+            if prepare_one is not None:
                 prepare_one()
         finally:
             native.listeners.remove(report)

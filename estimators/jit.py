@@ -88,6 +88,12 @@ JIT = not numba.config.DISABLE_JIT  # type: ignore[attr-defined]
 njit = compiler(_HERE)
 
 
+def on_disk(kernel: Any) -> bool:
+    """Tell whether a kernel (`njit`) was ever compiled from these sources, by Numba's index of it."""
+    name = f"{kernel.__module__.rpartition('.')[2]}.{kernel.__name__}-*.nbi"
+    return any(Path(FOLDER).rglob(name))
+
+
 def inner(function: Callable[..., Any], forceinline: bool = False) -> Any:
     """Compile a part of kernels that nobody calls from Python: no wrapper for it, no file of its own on disk."""
     options: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "error_model": "numpy", "_nrt": False}

@@ -3,7 +3,7 @@
     a^T S^-1 a > limit(m) :  refused
 
 for the m measurements of a sensor that are there. `limit` is the quantile of chi-square that a normal variable passes
-at `sigma` (Wilson and Hilferty 1931). A sensor refused for `patience` without a break is believed again, until it fits:
+at `sigma` (Wilson and Hilferty 1931). A sensor refused for `patience` without a break is accepted again, until it fits:
 the filter may be the one that is wrong.
 """
 

@@ -6,8 +6,8 @@ with the field m as the predicted attitude turns it into navigation axes and M t
 classical signs of iron; a disturbance from the side leaves both nearly as they are (6 uT across a horizontal field of
 23 uT: 1 % and 1 deg) and turns the needle by 15 deg, which only a heading that the gyro has carried can tell. A
 disturbed sample refuses those of the next `hold` as well (alternating currents pass through zero). Refused for
-`patience` without a break, the field is believed again until it fits: a heading may be wrong, too, and at the start it
-is the field that says where north is.
+`patience` without a break, the field is accepted again until it fits: a heading may be wrong, too, and at the start it
+is the field that shows where north is.
 """
 
 from typing import Any

@@ -8,7 +8,7 @@ axes, `q = q_estimated (x) (sqrt(1 - q_e^2), q_e)`, and the bias error. After ea
     f_b = C_bn G,  m_b = C_bn M,   slopes 2 [f_b x], 2 [m_b x]                                    eq. (3), (4)
 
 with G = (0, 0, -g) and M the local field. The gyro of a step is the mean of its two ends. Accelerometer and
-magnetometer are two groups, so that an adaptation (the paper's is `fuzzy`) judges them apart.
+magnetometer are two groups, so that an adaptation (the paper's is `fuzzy`) treats them apart.
 """
 
 import math

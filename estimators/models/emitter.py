@@ -61,7 +61,7 @@ class Emitter(NamedTuple):
         heading_rate_sigma: float = 0.0,
         frequency_sigma: float = 0.0,
     ) -> "Emitter":
-        """The paper's experiment (section 4.1.1) unless told otherwise: Hz, m, rad, rad/s, m, m/s, rad, rad/s, Hz.
+        """The paper's experiment (section 4.1.1) by default: Hz, m, rad, rad/s, m, m/s, rad, rad/s, Hz.
 
         Raises:
             SettingError: frequency, baseline, or the sigma of the phase or its rate not positive, another negative.

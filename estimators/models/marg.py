@@ -14,7 +14,7 @@ turn; with `aiding` the known motion is added, f_b = C_bn(q) (G + a_n) + w x v_b
                the ground: v_b = 0
     gnss       a_n = difference of successive GNSS velocities, turned by the body rate from its own time to now
 
-With practical noise the covariance is honest in two more ways. What scale and misalignment of the gyro leave behind in
+With practical noise the covariance has two terms more. What scale and misalignment of the gyro leave behind in
 a turn is noise that grows with the rate, of variance 2 tau (k |w|)^2 per second. And what no average removes is
 reported on top (a Schmidt filter's "considered" errors, without their correlation): bias, scale and misalignment of the
 accelerometer in the tilt, and in a turn the airspeed's scale times w V; hard iron, and that tilt times the dip, in the

@@ -12,7 +12,7 @@ small rotation in navigation axes, `q = exp_q(phi) (x) q_estimated`, that of the
 M are full matrices: scale factors on the diagonal, misalignment, cross-axis sensitivity and soft iron beside it. Their
 error E is a factor, `I + M = (I + M_estimated) (I + E)`: a rotation of all three sensors and the attitude together,
 which no reading shows, is then the same direction of the error state whatever has been estimated, and the filter does
-not come to believe that it has seen it.
+not become certain of it.
 """
 
 from typing import NamedTuple

@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from estimators import native
 from estimators.alignment import ALIGNING, NO_HEADING, STILL, Alignment, Stretch, align, concluded, limits, pieces
 from estimators.errors import EstimationError, SampleError
+from estimators.jit import JIT, on_disk
 from estimators.native import loaded, passed
 from estimators.navigator.aids import UP, Z_BASELINE, Z_FIELD, Z_PLACE, Z_VELOCITY
 from estimators.navigator.covariance import clear
@@ -85,6 +87,17 @@ class Navigator:
         """Forget everything seen: align anew."""
         self._stretch = Stretch.make()
         self._carry: Carry | None = None
+
+    def prepare(self) -> None:
+        """Compile, or load from the disk, everything that `process` will need; forgets everything seen."""
+        if JIT and not run.signatures and not on_disk(run):
+            for listener in native.listeners:
+                listener()
+        nothing = _rows(Samples(**blank(Samples, 0)), self.sensors)
+        alignment = concluded(Stretch.make(), False, self.site, self.sensors)
+        carry = start(self._model, self.settings, self.site, self.sensors, alignment)
+        run(self._model, carry, self._work, nothing, Answers(**blank(Estimates, 0)), 0)
+        self.reset()
 
     @property
     def measurements(self) -> dict[str, slice]:

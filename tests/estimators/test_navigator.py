@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from synthetic import SITE, coordinated_turn, error_deg, matrix_bn
 
-from estimators import Estimates, SampleError, Samples, SensorInfo, Status, create
-from estimators.navigator import covariance
+from estimators import Estimates, SampleError, Samples, SensorInfo, Status, create, jit, native
+from estimators.navigator import covariance, loop
 from estimators.navigator.layout import (
     ACCEL_MATRIX,
     COUPLED,
@@ -260,3 +260,20 @@ def test_after_a_long_gap_it_aligns_anew_filtered_and_smoothed():
     alone = smooth(navigator(align_s=5.0), cut[:5000])
     np.testing.assert_array_equal(smoothed.q_nb[:5000], alone.q_nb)
     assert tilt(smoothed, q[keep], np.arange(len(keep)) > 5600) < tilt(e, q[keep], np.arange(len(keep)) > 5600)
+
+
+@pytest.mark.skipif(not jit.JIT, reason="compiles nothing")
+def test_prepare_compiles_what_process_needs_and_announces_it(monkeypatch, tmp_path):
+    called = []
+    monkeypatch.setattr(native, "listeners", [lambda: called.append(None)])
+    estimator = create("ins-cal", site=SITE, sensors=SENSORS, align_s=3.0)
+    estimator.prepare()
+    announced, known = len(called), list(loop.run.signatures)
+    assert len(known) <= 1  # none where nothing is compiled
+    samples, _, _ = turning(turn_s=1.0)
+    fresh = create("ins-cal", site=SITE, sensors=SENSORS, align_s=3.0).process(samples)
+    np.testing.assert_array_equal(estimator.process(samples).q_nb, fresh.q_nb)
+    assert (len(called), list(loop.run.signatures)) == (announced, known), "nothing is left to compile"
+    assert jit.on_disk(loop.run)
+    monkeypatch.setattr(jit, "FOLDER", tmp_path)
+    assert not jit.on_disk(loop.run)
