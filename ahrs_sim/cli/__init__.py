@@ -20,6 +20,7 @@ from ahrs_sim.cli import (
     compare,
     export,
     export_code,
+    export_fmu,
     fly,
     info,
     listing,
@@ -37,7 +38,7 @@ from estimators.errors import EstimationError
 # in the order of `ahrs-sim --help`
 _COMMANDS = (
     fly, serve, replay, compare, info, export, recover, allan, check, campaign, certify, choose, budget, bound, tune,
-    papers, aircraft, new, export_code, listing, schema,
+    papers, aircraft, new, export_code, export_fmu, listing, schema,
 )  # fmt: skip
 
 

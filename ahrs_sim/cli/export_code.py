@@ -2,8 +2,12 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from ahrs_sim.cli.common import Commands
+
+if TYPE_CHECKING:
+    from estimators import SensorInfo
 
 _TARGETS = ("x86_64-linux", "aarch64-linux", "cortex-m4f", "cortex-m7", "wasm32", "riscv32")
 
@@ -11,24 +15,35 @@ _TARGETS = ("x86_64-linux", "aarch64-linux", "cortex-m4f", "cortex-m7", "wasm32"
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
     command = commands.add_parser("export-code", help="an estimator of the catalogue as native code behind a C header")
-    command.add_argument("method", metavar="METHOD", help="of the catalogue: ahrs-sim list estimators")
+    add_choice(command)
     command.add_argument("--target", choices=_TARGETS, default="x86_64-linux", help="default: x86_64-linux")
+    command.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="a new folder")
+    return command
+
+
+def add_choice(command: argparse.ArgumentParser) -> None:
+    """Add what says which estimator, for which sensors."""
+    command.add_argument("method", metavar="METHOD", help="of the catalogue: ahrs-sim list estimators")
     command.add_argument("--suite", default="chr", metavar="NAME", help="whose data sheet is built in (default: chr)")
     command.add_argument("--scenario", default="circuit", metavar="NAME", help="that has the suite (default: circuit)")
     command.add_argument(
         "--setting", action="append", default=[], metavar="NAME=VALUE", help="of the method; may be repeated"
     )
-    command.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="a new folder")
-    return command
+
+
+def chosen(arguments: argparse.Namespace) -> "tuple[dict[str, Any], SensorInfo]":
+    """Settings of the method, and the data sheet of the suite."""
+    from ahrs_sim.plugins import export
+
+    settings = export.parsed(export.method(arguments.method).settings, arguments.setting)
+    return settings, export.suite_info(arguments.suite, arguments.scenario)
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Write the folder and print its files and sizes."""
     from ahrs_sim.plugins import export
 
-    known = export.method(arguments.method).settings
-    settings = export.parsed(known, arguments.setting)
-    sensors = export.suite_info(arguments.suite, arguments.scenario)
+    settings, sensors = chosen(arguments)
     made = export.export(arguments.method, settings, arguments.suite, sensors, arguments.target, arguments.output)
     for path in sorted(arguments.output.iterdir()):
         print(path)

@@ -6,7 +6,7 @@ Names of variables, unless `[estimator.NAME.map]` gives others:
     inputs   gyro_x gyro_y gyro_z  accel_x ...  mag_x ...  mag_new  latitude longitude height
              vel_north vel_east vel_down  gnss_t gnss_satellites gnss_new
              heading_in heading_sigma heading_t heading_new  airspeed alpha beta air_new
-    outputs  q_w q_x q_y q_z, or roll pitch heading (rad)  status
+    outputs  q_w q_x q_y q_z, or roll pitch heading (rad), or down_x down_y down_z  status
              gyro_bias_x ...  gyro_bias_sigma_x ...  accel_bias_x ...  accel_bias_sigma_x ...
              latitude_est longitude_est height_est  vel_north_est vel_east_est vel_down_est
     parameters filled when they exist: site_latitude site_longitude site_height site_gravity
@@ -49,6 +49,7 @@ INPUTS: dict[str, tuple[str, int]] = {
 }
 OUTPUTS: dict[str, tuple[str, int]] = {
     **_names("q_nb", ("q_w", "q_x", "q_y", "q_z")),
+    **_names("down_b", tuple(f"down_{a}" for a in _AXES)),
     **{f"{c}_{a}": (c, i) for c in ("gyro_bias", "gyro_bias_sigma", "accel_bias", "accel_bias_sigma")
        for i, a in enumerate(_AXES)},
     **_names("lla", tuple(f"{p}_est" for p in _PLACE)),
@@ -144,7 +145,7 @@ class Unit:
         if missing := [theirs for theirs in renamed.values() if theirs not in self._variables]:
             return f"map: the FMU has no variable '{missing[0]}'"
         columns = {column for _, column, _ in self._outputs}
-        if "q_nb" not in columns and None in self._euler[:2]:
+        if not columns & {"q_nb", "down_b"} and None in self._euler[:2]:
             return "has no output q_w, q_x, q_y, q_z, nor roll and pitch; name them in a [map] table"
         return ""
 

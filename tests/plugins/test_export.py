@@ -14,7 +14,7 @@ import pytest
 import estimators
 from ahrs_sim.cli import main
 from ahrs_sim.plugins import export, layout
-from ahrs_sim.plugins.library import LibraryEstimator
+from ahrs_sim.plugins.library import FmuEstimator, LibraryEstimator
 from estimators import SensorInfo
 from estimators.emit import Emitted, emit
 
@@ -160,3 +160,35 @@ def test_what_cannot_be_exported_is_one_line(
     assert words in error
     assert error.count("\n") == 1
     assert not (tmp_path / "code").exists()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("method", ["ins21", "sekf"])
+def test_a_unit_for_co_simulation_gives_the_numbers_of_python(
+    tmp_path: Path, method: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("fmpy")
+    path, sensors = tmp_path / "unit.fmu", export.suite_info("chr", "circuit")
+    assert main(["export-fmu", method, "-o", str(path)]) == 0
+    assert f"--estimator fmu:{path}@chr" in capsys.readouterr().out
+    import fmpy
+    from fmpy.validation import validate_fmu
+
+    assert validate_fmu(str(path)) == []
+    assert fmpy.read_model_description(str(path)).fmiVersion == "2.0"
+    unit = FmuEstimator(path, site=SITE, sensors=sensors)
+    found = unit.process(BLOCK)
+    unit.reset()
+    again = unit.process(BLOCK)
+    unit.close()
+    assert unit.failure is None
+    wanted = estimators.create(method, site=SITE, sensors=sensors).process(BLOCK)
+    for name in ("status", "q_nb", "down_b", "gyro_bias", "gyro_bias_sigma", "accel_bias", "lla", "vel_n"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))
+        np.testing.assert_array_equal(getattr(again, name), getattr(wanted, name))
+
+
+def test_a_unit_that_is_there_already_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "unit.fmu").write_text("")
+    assert main(["export-fmu", "marg-ekf", "-o", str(tmp_path / "unit.fmu")]) == 2
+    assert "unit.fmu: exists; choose another -o" in capsys.readouterr().err
