@@ -74,25 +74,45 @@ class Samples(Columns):
 
     A latched value is what was last received at `t`; `*_new` is true on the row at which it arrived. `gnss_t` and
     `heading_t` say when the value was true (latency), the IMU's own delays are in `SensorInfo`.
+
+    Attributes:
+        t: (n,) s, time stamp of the IMU sample, rising; never missing.
+        gyro_b: (n, 3) rad/s, angular rate.
+        accel_b: (n, 3) m/s2, specific force: standing level it is (0, 0, -9.8).
+        mag_b: (n, 3) T, magnetic field.
+        mag_new: (n,) bool, `mag_b` has arrived with this row.
+        lla: (n, 3) rad, rad, m, GNSS latitude, longitude and ellipsoidal height.
+        vel_n: (n, 3) m/s, GNSS velocity.
+        gnss_t: (n,) s, when `lla` and `vel_n` were true.
+        gnss_satellites: (n,) in use; NaN before the first message.
+        gnss_new: (n,) bool, `lla` and `vel_n` have arrived with this row.
+        heading: (n,) rad, true heading of the dual-antenna baseline.
+        heading_sigma: (n,) rad, one sigma, as the receiver reports it.
+        heading_t: (n,) s, when `heading` was true.
+        heading_new: (n,) bool, `heading` has arrived with this row.
+        airspeed: (n,) m/s, true airspeed.
+        alpha: (n,) rad, angle of attack (vane); NaN when not fitted.
+        beta: (n,) rad, sideslip (vane); NaN when not fitted.
+        air_new: (n,) bool, `airspeed`, `alpha` and `beta` have arrived with this row.
     """
 
-    t: np.ndarray = column()  # (n,) s, time stamp of the IMU sample
-    gyro_b: np.ndarray = column(3)  # (n, 3) rad/s
-    accel_b: np.ndarray = column(3)  # (n, 3) m/s2, specific force
-    mag_b: np.ndarray = column(3)  # (n, 3) T
+    t: np.ndarray = column()
+    gyro_b: np.ndarray = column(3)
+    accel_b: np.ndarray = column(3)
+    mag_b: np.ndarray = column(3)
     mag_new: np.ndarray = column(dtype=bool)
-    lla: np.ndarray = column(3)  # (n, 3) GNSS latitude rad, longitude rad, ellipsoidal height m
-    vel_n: np.ndarray = column(3)  # (n, 3) m/s GNSS velocity
-    gnss_t: np.ndarray = column()  # (n,) s
-    gnss_satellites: np.ndarray = column()  # (n,) in use; NaN before the first message
+    lla: np.ndarray = column(3)
+    vel_n: np.ndarray = column(3)
+    gnss_t: np.ndarray = column()
+    gnss_satellites: np.ndarray = column()
     gnss_new: np.ndarray = column(dtype=bool)
-    heading: np.ndarray = column()  # (n,) rad, true heading of the dual-antenna baseline
-    heading_sigma: np.ndarray = column()  # (n,) rad, as the receiver reports it
+    heading: np.ndarray = column()
+    heading_sigma: np.ndarray = column()
     heading_t: np.ndarray = column()
     heading_new: np.ndarray = column(dtype=bool)
-    airspeed: np.ndarray = column()  # (n,) m/s, true airspeed
-    alpha: np.ndarray = column()  # (n,) rad, angle of attack (vane), NaN when not fitted
-    beta: np.ndarray = column()  # (n,) rad, sideslip (vane), NaN when not fitted
+    airspeed: np.ndarray = column()
+    alpha: np.ndarray = column()
+    beta: np.ndarray = column()
     air_new: np.ndarray = column(dtype=bool)
 
     @classmethod
@@ -124,68 +144,131 @@ class Status(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Estimates(Columns):
-    """What an estimator says: one row per row of `Samples`. What a method does not estimate is NaN."""
+    """What an estimator says: one row per row of `Samples`, the same however they are cut into blocks.
 
-    t: np.ndarray = column()  # (n,) s
-    status: np.ndarray = column(dtype=np.uint8)  # (n,) `Status`
-    q_nb: np.ndarray = column(4)  # (n, 4); NaN when the method has no heading
-    down_b: np.ndarray = column(3)  # (n, 3) unit down vector in body axes: the tilt alone
-    att_cov: np.ndarray = column(3, 3)  # (n, 3, 3) rad2, of the small rotation in body axes
-    gyro_bias: np.ndarray = column(3)  # (n, 3) rad/s
+    What a method does not estimate is NaN, never zero; so is everything while it is aligning.
+
+    Attributes:
+        t: (n,) s, those of the samples.
+        status: (n,) uint8, a `Status`.
+        q_nb: (n, 4) attitude, of length 1; NaN before the alignment, or when the method has no heading.
+        down_b: (n, 3) unit down vector in body axes: the tilt alone, known without a heading as well.
+        att_cov: (n, 3, 3) rad2, covariance of the small rotation in body axes.
+        gyro_bias: (n, 3) rad/s.
+        gyro_bias_sigma: (n, 3) rad/s, one sigma.
+        accel_bias: (n, 3) m/s2.
+        accel_bias_sigma: (n, 3) m/s2, one sigma.
+        lla: (n, 3) rad, rad, m, place.
+        vel_n: (n, 3) m/s, velocity.
+        pos_cov: (n, 3, 3) m2, NED, of the place, errors of the fixes that wander included.
+        vel_cov: (n, 3, 3) m2/s2, NED.
+        innovation: (n, MEASUREMENTS) decorrelated, so independent of each other (see `filters`); NaN where no
+            measurement was used.
+        innovation_var: (n, MEASUREMENTS) variances of the innovations: NIS is the sum of innovation^2 / variance.
+        adaptation: (n, 4) state of the adaptation policy, of which the meaning depends on the method.
+    """
+
+    t: np.ndarray = column()
+    status: np.ndarray = column(dtype=np.uint8)
+    q_nb: np.ndarray = column(4)
+    down_b: np.ndarray = column(3)
+    att_cov: np.ndarray = column(3, 3)
+    gyro_bias: np.ndarray = column(3)
     gyro_bias_sigma: np.ndarray = column(3)
-    accel_bias: np.ndarray = column(3)  # (n, 3) m/s2
+    accel_bias: np.ndarray = column(3)
     accel_bias_sigma: np.ndarray = column(3)
-    lla: np.ndarray = column(3)  # (n, 3) rad, rad, m
-    vel_n: np.ndarray = column(3)  # (n, 3) m/s
-    pos_cov: np.ndarray = column(3, 3)  # (n, 3, 3) m2, NED, of the place, errors of the fixes that wander included
-    vel_cov: np.ndarray = column(3, 3)  # (n, 3, 3) m2/s2, NED
-    innovation: np.ndarray = column(MEASUREMENTS)  # (n, MEASUREMENTS) decorrelated: independent, see filters
-    innovation_var: np.ndarray = column(MEASUREMENTS)  # its variances; NIS = sum of innovation^2 / variance
-    adaptation: np.ndarray = column(4)  # (n, 4) state of the adaptation policy, meaning by method
+    lla: np.ndarray = column(3)
+    vel_n: np.ndarray = column(3)
+    pos_cov: np.ndarray = column(3, 3)
+    vel_cov: np.ndarray = column(3, 3)
+    innovation: np.ndarray = column(MEASUREMENTS)
+    innovation_var: np.ndarray = column(MEASUREMENTS)
+    adaptation: np.ndarray = column(4)
 
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """Where and when, known to any navigator: the fields that a filter takes as given."""
+    """Where and when, known to any navigator: the fields that a filter takes as given.
 
-    lla: tuple[float, float, float]  # rad, rad, m: where the flight starts
-    gravity: float = 9.80665  # m/s2
-    mag_n: tuple[float, float, float] = (2.2e-5, 0.0, 4.2e-5)  # T, local field (World Magnetic Model)
+    Attributes:
+        lla: rad, rad, m: latitude, longitude and ellipsoidal height where the flight starts.
+        gravity: m/s2.
+        mag_n: T, NED, the local field of the World Magnetic Model.
+    """
+
+    lla: tuple[float, float, float]
+    gravity: float = 9.80665
+    mag_n: tuple[float, float, float] = (2.2e-5, 0.0, 4.2e-5)
 
 
 @dataclass(frozen=True, slots=True)
 class SensorInfo:
-    """What the data sheets say of the sensors behind a stream: one sigma, SI. A filter may use these and no more."""
+    """What the data sheets say of the sensors behind a stream: one sigma, SI. A filter may use these and no more.
 
-    rate: float = 100.0  # Hz, nominal
-    gyro_noise: float = 5e-4  # rad/s/sqrt(Hz), single-sided density: sigma = density sqrt(rate / 2)
-    gyro_bias: float = 5e-3  # rad/s, turn-on
-    gyro_instability: float = 5e-4  # rad/s, in run
-    gyro_scale: float = 1.5e-3  # scale factor and misalignment together, then each
+    Attributes:
+        rate: Hz, nominal.
+        gyro_noise: rad/s/sqrt(Hz), single-sided density: sigma = density sqrt(rate / 2).
+        gyro_bias: rad/s, turn-on.
+        gyro_instability: rad/s, in run.
+        gyro_scale: of the rate: scale factor and misalignment together.
+        gyro_scale_factor: of the rate: scale factor alone.
+        gyro_misalignment: rad, of an axis about each other one.
+        gyro_drift: rad/s, of the bias over minutes: warming up.
+        accel_noise: m/s2/sqrt(Hz).
+        accel_bias: m/s2.
+        accel_instability: m/s2, in run.
+        accel_drift: m/s2, over minutes.
+        accel_scale: of the specific force: scale factor and misalignment together.
+        accel_scale_factor: of the specific force: scale factor alone.
+        accel_misalignment: rad, cross-axis sensitivity with it.
+        mag_noise: T, one sample.
+        mag_bias: T, hard iron left over after calibration.
+        mag_wander: T, hard iron that comes and goes: currents.
+        mag_scale_factor: of the field.
+        mag_misalignment: rad.
+        soft_iron: of the field, left over after calibration.
+        field_error: T NED, of the World Magnetic Model.
+        gyro_delay: s: the value at stamp t was true at t - delay.
+        accel_delay: s, likewise.
+        mag_delay: s, likewise.
+        gnss_pos: m.
+        gnss_vel: m/s.
+        heading: rad, dual antenna.
+        heading_mount: rad, of the baseline in yaw and in pitch.
+        airspeed: m/s.
+        airspeed_scale: of the airspeed.
+        antenna_b: m, GNSS antenna from the IMU, body axes.
+    """
+
+    rate: float = 100.0
+    gyro_noise: float = 5e-4
+    gyro_bias: float = 5e-3
+    gyro_instability: float = 5e-4
+    gyro_scale: float = 1.5e-3
     gyro_scale_factor: float = 1e-3
-    gyro_misalignment: float = 1e-3  # rad, of an axis about each other one
-    gyro_drift: float = 5e-4  # rad/s, of the bias over minutes: warming up
-    accel_noise: float = 2e-3  # m/s2/sqrt(Hz)
-    accel_bias: float = 5e-2  # m/s2
-    accel_instability: float = 1e-3  # m/s2, in run
-    accel_drift: float = 1e-2  # m/s2, over minutes
-    accel_scale: float = 5e-3  # scale factor and misalignment together, then each
+    gyro_misalignment: float = 1e-3
+    gyro_drift: float = 5e-4
+    accel_noise: float = 2e-3
+    accel_bias: float = 5e-2
+    accel_instability: float = 1e-3
+    accel_drift: float = 1e-2
+    accel_scale: float = 5e-3
     accel_scale_factor: float = 3e-3
-    accel_misalignment: float = 3e-3  # rad, cross-axis sensitivity with it
-    mag_noise: float = 5e-7  # T, one sample
-    mag_bias: float = 1e-6  # T, hard iron left over
-    mag_wander: float = 1e-7  # T, hard iron that comes and goes: currents
+    accel_misalignment: float = 3e-3
+    mag_noise: float = 5e-7
+    mag_bias: float = 1e-6
+    mag_wander: float = 1e-7
     mag_scale_factor: float = 5e-3
-    mag_misalignment: float = 5e-3  # rad
-    soft_iron: float = 5e-3  # of the field, left over
-    field_error: tuple[float, float, float] = (1.37e-7, 8.9e-8, 1.41e-7)  # T NED, of the World Magnetic Model
-    gyro_delay: float = 0.0  # s: the value at stamp t was true at t - delay
+    mag_misalignment: float = 5e-3
+    soft_iron: float = 5e-3
+    field_error: tuple[float, float, float] = (1.37e-7, 8.9e-8, 1.41e-7)
+    gyro_delay: float = 0.0
     accel_delay: float = 0.0
     mag_delay: float = 0.0
-    gnss_pos: float = 2.5  # m
-    gnss_vel: float = 0.1  # m/s
-    heading: float = 3.5e-3  # rad, dual antenna
-    heading_mount: float = 2.6e-3  # rad, of the baseline in yaw and in pitch
-    airspeed: float = 0.3  # m/s
+    gnss_pos: float = 2.5
+    gnss_vel: float = 0.1
+    heading: float = 3.5e-3
+    heading_mount: float = 2.6e-3
+    airspeed: float = 0.3
     airspeed_scale: float = 0.02
-    antenna_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, GNSS antenna from the IMU, body axes
+    antenna_b: tuple[float, float, float] = (0.0, 0.0, 0.0)

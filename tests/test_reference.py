@@ -1,6 +1,10 @@
 """The reference and the schemas follow the readers: every shipped file is valid, and what a reader refuses is not."""
 
+import dataclasses
 import datetime
+import re
+import runpy
+import subprocess
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -11,6 +15,7 @@ import pytest
 from ahrs_sim import reference, scenario
 from ahrs_sim.errors import InputError
 from ahrs_sim.scenario.shipped import scenario_dir
+from estimators import Estimates, Samples, SensorInfo, Site
 
 ROOT = Path(__file__).parents[1]
 GRADES = ROOT / "ahrs_sim" / "sensors" / "grades"
@@ -96,3 +101,30 @@ def test_manoeuvres_say_what_they_need() -> None:
 def test_the_page_is_up_to_date() -> None:
     page = (ROOT / "docs" / "scenario.md").read_text(encoding="utf-8")
     assert page == reference.markdown(), "run: python -m ahrs_sim.reference"
+
+
+def test_the_contract_describes_every_field() -> None:
+    for cls in (Samples, Estimates, Site, SensorInfo):
+        described = re.findall(r"^        (\w+): ", cls.__doc__ or "", re.MULTILINE)
+        assert described == [f.name for f in dataclasses.fields(cls)], cls.__name__
+
+
+def test_the_site_has_every_page_and_command(tmp_path: Path) -> None:
+    build = runpy.run_path(str(ROOT / "docs" / "site" / "build.py"))
+    build["write"](tmp_path / "site")
+    listed = [page for pages in build["PAGES"].values() for page in pages]
+    assert {f"docs/{p.stem}" for p in (ROOT / "docs").glob("*.md")} == {p for p in listed if p.startswith("docs/")}
+    for page in listed:
+        assert (tmp_path / "site" / f"{page}.md").read_text().startswith(("#", "---")), page
+    commands = (tmp_path / "site" / "reference" / "commands.md").read_text()
+    assert "## replay" in commands and "--against NAME" in commands
+
+
+def test_tutorials_are_scripts(tmp_path: Path) -> None:
+    script = runpy.run_path(str(ROOT / ".ci" / "newcomers.py"))["script"]
+    tutorials = sorted((ROOT / "docs").glob("tutorial-*.md"))
+    assert len(tutorials) == 3
+    for tutorial in tutorials:
+        text = script(tutorial)
+        assert subprocess.run(["bash", "-n", "-c", text], check=False).returncode == 0
+        assert text.count("ahrs-sim ") >= 6

@@ -76,7 +76,8 @@ class LogFrames(Mapping[str, pandas.DataFrame]):
     def __repr__(self) -> str:
         first, last = self._log.time_range_ns
         named = ", ".join(self.estimators) or "none"
-        return f"{self.path}: {(last - first) / 1e9:.1f} s, {len(self)} topics, estimators: {named}"
+        name = self.path if self._folder is None else self.path.name
+        return f"{name}: {(last - first) / 1e9:.1f} s, {len(self)} topics, estimators: {named}"
 
     def close(self) -> None:
         """Close the file; a temporary one goes."""
@@ -220,11 +221,17 @@ class AccuracyTable(Mapping[str, Any]):
     def _repr_html_(self) -> str:
         against = "the truth" if self["reference"] == "truth" else self["reference"]
         title = f"RMS error against {against}, {self['from_s']:.0f} to {self['to_s']:.0f} s, deg"
-        shown = self.frame.reset_index().pivot(
-            index="estimator", columns="phase", values=["tilt_rmse_deg", "heading_rmse_deg"]
-        )
-        order = shown["tilt_rmse_deg", "all"].sort_values().index
-        table = shown.loc[order].to_html(float_format=lambda x: f"{x:.2f}", na_rep="-")
+        figures = self.frame
+        spans = [p for p in (*phases.PHASES[:3], "all") if p in figures.index.get_level_values("phase")]
+        columns = {
+            (measure, "whole flight" if phase == "all" else phase): figures[f"{measure}_rmse_deg"].xs(phase, level=1)
+            for measure in ("tilt", "heading")
+            for phase in spans
+        }
+        best_first = figures["tilt_rmse_deg"].xs("all", level=1).sort_values().index
+        shown = pandas.DataFrame(columns).reindex(best_first)
+        shown.index.name = None
+        table = shown.to_html(float_format=lambda x: f"{x:.2f}", na_rep="-")
         return f"<p>{html.escape(title)}</p>\n{table}"
 
     @property
