@@ -19,7 +19,7 @@ from ahrs_sim.sensors.assemble import Assembler
 from ahrs_sim.sensors.records import SuiteBlock
 from ahrs_sim.sensors.suite import Suite
 from ahrs_sim.world import gravity, magnetic
-from estimators.types import Estimates, Samples, SensorInfo, Site
+from estimators.types import MEASUREMENTS, Estimates, Samples, SensorInfo, Site
 
 
 def site(lla: np.ndarray, date: datetime.datetime) -> Site:
@@ -69,6 +69,18 @@ class Chain:
         """Collect events of the estimators and of the suite since the last call."""
         events = [e for made in self.estimators.values() if isinstance(made, Guarded) for e in made.take_events()]
         return events + (self._suite.take_events() if self._suite is not None else [])
+
+
+def described(component: Component, estimator: Processes) -> dict[str, str]:
+    """Write what a log keeps of an estimator: its settings, and the names of its innovations, `-` without one."""
+    kept = {k: str(v) for k, v in component.settings.items()}
+    names = ["-"] * MEASUREMENTS
+    for name, columns in getattr(estimator, "measurements", {}).items():
+        axes = ("north", "east", "down") if name.endswith("_n") else "xyz"
+        one = columns.stop - columns.start == 1
+        for k, place in enumerate(range(columns.start, columns.stop)):
+            names[place] = name if one else f"{name}.{axes[k]}"
+    return {**kept, "innovations": " ".join(names)} if set(names) != {"-"} else kept
 
 
 def recorded_chains(components: Iterable[Component], site: Site, sensors: Mapping[str, SensorInfo]) -> dict[str, Chain]:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from ahrs_sim import plugins
-from ahrs_sim.chain import Chain, site
+from ahrs_sim.chain import Chain, described, site
 from ahrs_sim.errors import FlightError
 from ahrs_sim.evaluation.decimate import RowDecimator
 from ahrs_sim.flight import BLOCK_S, Flight, open_flight
@@ -293,7 +293,8 @@ def _metadata(scenario: Scenario, place: Site, chains: list[Chain]) -> dict[str,
     versions = {"python": platform.python_version(), **{name: version(name) for name in packages}}
     suites = {f"suite {c.suite.name}": c.suite.specification() for c in chains}
     sheets = {f"sensors {c.suite.name}": exactly(c.suite.info) for c in chains}
-    methods = {f"estimator {e.name}": {k: str(v) for k, v in e.settings.items()} for e in scenario.estimators}
+    made = {name: estimator for c in chains for name, estimator in c.estimators.items()}
+    methods = {f"estimator {e.name}": described(e, made[e.name]) for e in scenario.estimators}
     return {"flight": flight, "versions": versions, "site": exactly(place), **sheets, **suites, **methods}
 
 

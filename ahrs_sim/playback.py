@@ -17,7 +17,7 @@ import numpy as np
 from ahrs_sim import plugins
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.attitude import down
-from ahrs_sim.chain import Chain, recorded_chains
+from ahrs_sim.chain import Chain, described, recorded_chains
 from ahrs_sim.errors import FlightError, InputError
 from ahrs_sim.log.flight_log import EstimateTopics
 from ahrs_sim.log.flight_reader import FlightReader
@@ -318,8 +318,9 @@ def _run(
         passing = _CarryOver(recording, writer, prefixes)
         topics = EstimateTopics(writer, recording.epoch_ns, names)
         afterwards = EstimateTopics(writer, recording.epoch_ns, smoothing.names if smoothing else [])
+        made = {name: estimator for chain in chains.values() for name, estimator in chain.estimators.items()}
         for component in recording.estimators:
-            writer.metadata(f"estimator {component.name}", {k: str(v) for k, v in component.settings.items()})
+            writer.metadata(f"estimator {component.name}", described(component, made[component.name]))
         writer.start()
         for blocks in recording.blocks:
             reached = 0.0

@@ -323,6 +323,7 @@ def _estimator(flight: FlightTraces, e: EstimatorTrace, clock: _Clock, dt: float
         "nis": clock.put(seconds, nis, slow, 0.01),
         "nis_low": clock.put(seconds, low, slow, 0.01),
         "nis_high": clock.put(seconds, high, slow, 0.01),
+        "innovation_names": list(e.innovations),
         "innovation_low": clock.columns(seconds, e.innovation_low, slow, 0.02),
         "innovation_high": clock.columns(seconds, e.innovation_high, slow, 0.02),
         "north": clock.put(ct, e.position[:, 0], slow / 2, 0.1),

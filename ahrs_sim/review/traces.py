@@ -82,6 +82,7 @@ class EstimatorTrace:
     nis_freedom: np.ndarray  # (s,) degrees of freedom in that sum
     innovation_low: np.ndarray  # (s, 12) extremes over the second of innovation / sigma
     innovation_high: np.ndarray
+    innovations: tuple[str, ...] = ()  # their names, as far as the log knows them
     adjusted: dict[str, Any] = field(default_factory=dict)  # what was taken out before, as `compare` tells it
 
     def worst(self, flight: "FlightTraces") -> Worst | None:
@@ -322,7 +323,7 @@ class _Gathering:
     def _put(self, name: str, values: np.ndarray) -> None:
         self.columns.setdefault(name, []).append(values)
 
-    def trace(self, name: str, suite: str, adjusted: dict[str, Any]) -> EstimatorTrace:
+    def trace(self, name: str, about: Mapping[str, str], adjusted: dict[str, Any]) -> EstimatorTrace:
         c = {key: np.concatenate(parts) for key, parts in self.columns.items()}
         second = np.maximum(np.floor(c["t"] + 1e-6), 0).astype(int)
         count = int(second.max()) + 1
@@ -333,7 +334,8 @@ class _Gathering:
         high[second[starts]] = np.fmax.reduceat(ratio, starts)
         return EstimatorTrace(
             name=name,
-            suite=suite,
+            suite=about.get("suite", ""),
+            innovations=tuple(about.get("innovations", "").split()),
             adjusted=adjusted,
             nis=np.bincount(second, c.pop("nis"), count),
             nis_freedom=np.bincount(second, c.pop("freedom"), count),
@@ -360,8 +362,8 @@ def _estimators(
             at = log.seconds(stamps(messages))
             within = (at >= low - 1e-3) & (at <= high + 1e-3)
             evaluator.add(topics[topic], log.estimates_in(messages[within], _READ))
-    suite = {name: log.metadata.get(f"estimator {name}", {}).get("suite", "") for name in gathering}
-    return {name: g.trace(name, suite[name], against[name][1]) for name, g in gathering.items() if g.columns}
+    about = {name: log.metadata.get(f"estimator {name}", {}) for name in gathering}
+    return {name: g.trace(name, about[name], against[name][1]) for name, g in gathering.items() if g.columns}
 
 
 def _biases(messages: np.ndarray) -> dict[str, np.ndarray]:

@@ -81,6 +81,16 @@ def test_page_has_the_errors_of_the_log(page: str, traces: FlightTraces) -> None
             assert values[at[known]] == pytest.approx(np.degrees(trace.error[known, k]), abs=0.006)
 
 
+def test_innovations_have_the_names_that_the_log_keeps(page: str) -> None:
+    data, _ = parts(page)
+    for shown in data["runs"][0]["estimators"]:
+        names = shown["innovation_names"]
+        assert names[:4] == ["accel_b.x", "accel_b.y", "accel_b.z", "mag_b.x"]
+        drawn = [name for name, ref in zip(names, shown["innovation_low"], strict=True) if ref]
+        assert len(drawn) >= 6
+        assert "-" not in drawn
+
+
 def test_page_agrees_with_compare(page: str, flown: Path) -> None:
     data, _ = parts(page)
     wanted = compare.compare(flown)["estimators"]
