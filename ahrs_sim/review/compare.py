@@ -269,6 +269,8 @@ def table(result: dict[str, Any], *, details: bool = False) -> str:
     if "paired" in result:
         print(file=out)
         _paired(result["paired"], [name for name in rows if name != result["paired"]["against"]], width, details, out)
+        if result["reference"] == "truth":
+            print("of this flight; with other errors of the sensors: ahrs-sim campaign ... --against", file=out)
     if details:
         print(file=out)
         _details(rows, width, out)
@@ -285,7 +287,6 @@ def _paired(found: Mapping[str, Any], names: Iterable[str], width: int, details:
             title = f"  {phase}" if phase else name
             tilt, heading = (paired.cells(cells[f"{m}_rmse_deg"]) for m in ("tilt", "heading"))
             print(f"{title:{width}s}{tilt}  {heading}", file=out)
-    print("of this flight; with other errors of the sensors: ahrs-sim campaign ... --against", file=out)
 
 
 def over_logs(results: Sequence[Mapping[str, Any]], against: str) -> str:
