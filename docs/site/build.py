@@ -13,7 +13,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 
-PAGES = {
+_PAGES = {
     "Tutorials": ["docs/tutorial-filter", "docs/tutorial-recording", "docs/tutorial-ci", "docs/notebook"],
     "Guides": [
         "docs/estimators", "docs/doors", "docs/replay", "docs/regression", "docs/viewers", "docs/sensors",
@@ -26,6 +26,10 @@ PAGES = {
     ],
     "Project": ["CHANGELOG", "CONTRIBUTING", "SECURITY"],
 }  # fmt: skip
+
+_NAMED = {page for pages in _PAGES.values() for page in pages}
+_OTHERS = sorted({f"docs/{path.stem}" for path in (ROOT / "docs").glob("*.md")} - _NAMED)
+PAGES = {title: [*pages, *(_OTHERS if title == "Guides" else [])] for title, pages in _PAGES.items()}
 
 CONTRACT = """# The contract of an estimator
 
