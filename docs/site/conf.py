@@ -1,5 +1,7 @@
 """Settings of Sphinx; `docs/site/build.py` runs it."""
 
+from typing import Any
+
 project = "ahrs_sim"
 author = "The ahrs_sim authors"
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
@@ -24,3 +26,21 @@ autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
 napoleon_use_ivar = True
 suppress_warnings = ["misc.highlighting_failure"]
+
+
+def _examples(_: Any, what: str, *rest: Any) -> None:
+    """Take indented blocks of a module's docstring for code, as a reader of the source does."""
+    lines: list[str] = rest[-1]
+    if what == "module":
+        marked: list[str] = []
+        for line in lines:
+            before = next((x for x in reversed(marked) if x), "")
+            if line.startswith("    ") and marked and not marked[-1] and not before.startswith("    "):
+                marked += ["::", ""]
+            marked.append(line)
+        lines[:] = marked
+
+
+def setup(app: Any) -> None:
+    """Register what is above."""
+    app.connect("autodoc-process-docstring", _examples)
