@@ -112,9 +112,8 @@ def run(arguments: argparse.Namespace) -> None:
     from ahrs_sim.review import compare
 
     result["log"] = str(arguments.output or arguments.log)
-    print(json.dumps(result, indent=1) if arguments.json else compare.table(result, details=arguments.all))
-    if missing and not arguments.json:
-        print("\n".join(missing))
+    text = compare.table(result, details=arguments.all, reasons=missing)
+    print(json.dumps(result, indent=1) if arguments.json else text)
     if arguments.output and not arguments.json:
         print(arguments.output)
     if failure:

@@ -3,7 +3,7 @@
 import csv as csv_form
 import io
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -244,8 +244,14 @@ def _known_attitudes(log: FlightReader, topic: str) -> tuple[np.ndarray, np.ndar
     return t[known], q_nb[known]
 
 
-def table(result: dict[str, Any], *, details: bool = False) -> str:
-    """Format the result for a reader: tilt and heading by phase, best tilt first; `details` adds every measure."""
+def table(result: dict[str, Any], *, details: bool = False, reasons: Sequence[str] | None = None) -> str:
+    """Format the result for a reader: tilt and heading by phase, best tilt first.
+
+    Args:
+        result: of `compare`.
+        details: add every measure.
+        reasons: for figures that are missing, a line each; None: what the result itself tells.
+    """
     out = io.StringIO()
     against = "the truth" if result["reference"] == "truth" else result["reference"]
     rows = dict(sorted(result["estimators"].items(), key=lambda item: item[1]["tilt_rmse_deg"] or math.inf))
@@ -266,6 +272,8 @@ def table(result: dict[str, Any], *, details: bool = False) -> str:
             print(f"{name:{width}s} {removed}", file=out)
     if steep := max((values.get("steep", 0.0) for values in rows.values()), default=0.0):
         print(f"roll and heading leave out {100 * steep:.1f} %: nose within 6 deg of the vertical", file=out)
+    for line in _reasons(result) if reasons is None else reasons:
+        print(line, file=out)
     if "paired" in result:
         print(file=out)
         _paired(result["paired"], [name for name in rows if name != result["paired"]["against"]], width, details, out)
@@ -275,6 +283,22 @@ def table(result: dict[str, Any], *, details: bool = False) -> str:
         print(file=out)
         _details(rows, width, out)
     return out.getvalue().rstrip()
+
+
+def _reasons(result: Mapping[str, Any]) -> Iterator[str]:
+    """Say why figures over the whole flight are missing, a line each."""
+    rows = result["estimators"]
+    silent = [name for name, values in rows.items() if values["tilt_rmse_deg"] is None]
+    no_heading = [n for n, values in rows.items() if values["heading_rmse_deg"] is None and n not in silent]
+    no_nees = [n for n, v in rows.items() if v.get("nees") is None and n not in (*silent, *no_heading)]
+    span = result["to_s"] - result["from_s"]
+    if silent:
+        how = "aligning takes align_s of standing, or motion for 5 s"
+        yield f"no attitude in these {span:.0f} s: {', '.join(silent)}; {how}"
+    if no_heading:
+        yield f"no heading in the estimates, or none in what they are compared with: {', '.join(no_heading)}"
+    if no_nees:
+        yield f"no NEES, because no covariance is reported (att_cov): {', '.join(no_nees)}"
 
 
 def _paired(found: Mapping[str, Any], names: Iterable[str], width: int, details: bool, out: io.StringIO) -> None:

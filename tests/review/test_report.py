@@ -166,6 +166,18 @@ def test_worst_window_and_finding(traces: FlightTraces) -> None:
     assert "first exceeded 5 deg and its own 3 sigma" in finding(traces, wrong)
 
 
+def test_every_dash_has_a_reason(flown: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["compare", str(flown), "--to", "5"]) == 0
+    assert "no attitude in these 5 s: ekf-chr, ekf-sbg; aligning takes" in capsys.readouterr().out
+    result = compare.compare(flown)
+    assert "no " not in compare.table(result)
+    result["estimators"]["ekf-chr"] |= {"nees": None}
+    result["estimators"]["ekf-sbg"] |= {"heading_rmse_deg": None}
+    text = compare.table(result)
+    assert "no NEES, because no covariance is reported (att_cov): ekf-chr" in text
+    assert "no heading in the estimates, or none in what they are compared with: ekf-sbg" in text
+
+
 def test_compare_against_an_estimator_of_the_log(flown: Path, capsys: pytest.CaptureFixture[str]) -> None:
     result = compare.compare(flown, against="ekf-sbg")
     rows, difference = result["estimators"], result["paired"]["estimators"]["ekf-chr"]["tilt_rmse_deg"]
