@@ -249,7 +249,8 @@ def table(now: dict[str, dict[str, float]], before: dict[str, dict[str, float]])
             key = f"{kind} {method}"
             cells = [cell(key, "first", lambda x: f"{x:.1f}"), cell(key, "latest", lambda x: f"{x:.1f}"),
                      *(cell(key, what, lambda x: f"{x:.2f}") for what in ("then", "rms", "last"))]  # fmt: skip
-            lines.append(f"| {text if method == METHODS[0] else ''} | `{method}` | {' | '.join(cells)} |")
+            name = f"`{method}`, GNSS" if method.startswith("marg") else f"`{method}`"
+            lines.append(f"| {text if method == METHODS[0] else ''} | {name} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -1,14 +1,14 @@
 """Initial attitude, gyro bias and sensor noise from a stationary stretch.
 
 Each second of the stretch is classified: still when gyro and accelerometer scatter no more than their noise, the
-gyro's mean could be its bias and the accelerometer's mean gravity. `align_s` still seconds in a row give the alignment:
-attitude by TRIAD from mean specific force and mean field (down exactly, heading from the field), bias from the mean
-rate, noise covariances from the scatter. Motion before that ends it, too, when there was a still second: what was still
-is the alignment, with larger sigmas, and is turned on by the gyro to where the motion has come. Without stillness the
-alignment is coarse, from the means of the last second, with a large covariance, after `MOVING_S` (started in the air).
-Moving, specific force is not gravity: with an airspeed what
-a coordinated flight adds, w x v + dv/dt, is taken off it, and with GNSS two velocities say it in navigation axes, f_n =
-dv_n/dt - g. That brings a start in a turn from the angle of bank to a few degrees.
+gyro's mean could be its bias (a great one where the field does not turn with it) and the accelerometer's mean
+gravity. `align_s` still seconds in a row give the alignment: attitude by TRIAD from mean specific force and mean
+field (down exactly, heading from the field), bias from the mean rate, noise covariances from the scatter. Motion
+before that ends it, too, when there was a still second: what was still is the alignment, with larger sigmas, and is
+turned on by the gyro to where the motion has come. Without stillness the alignment is coarse, from the means of the
+last second, with a large covariance, after `MOVING_S` (started in the air). Moving, specific force is not gravity:
+with an airspeed what a coordinated flight adds, w x v + dv/dt, is taken off it, and with GNSS two velocities say it
+in navigation axes, f_n = dv_n/dt - g. That brings a start in a turn from the angle of bank to a few degrees.
 """
 
 import math
@@ -62,7 +62,8 @@ GYRO_SCATTER, ACCEL_SCATTER = (
     math.radians(0.5),
     0.15,
 )  # rad/s, m/s2: least limits, vibration of an idling motor included
-MEAN_RATE = math.radians(1.5)  # rad/s: more than a turn-on bias is a turn
+MEAN_RATE = math.radians(1.5)  # rad/s: more than a turn-on bias is a turn, unless the field stays where it is
+GREATEST_BIAS = math.radians(15.0)  # rad/s
 COARSE_TILT, COARSE_HEADING, NO_HEADING = math.radians(20.0), math.radians(45.0), math.radians(104.0)  # sigmas
 AIDED_TILT, AIDED_HEADING = math.radians(5.0), math.radians(12.0)  # of a start in motion with a velocity aid
 
@@ -71,6 +72,7 @@ class Alignment(Record):
     """What a stationary stretch says (or, coarse, the last second before it was given up)."""
 
     still: Flag
+    moving: Flag  # at its end: it never stood, or has set off since
     q_nb: Vector4
     sigma_n: Vector3  # rad, of a rotation about north, east, down
     gyro_bias: Vector3  # rad/s
@@ -117,6 +119,7 @@ class Stretch(Record):
     phase: Integer  # ALIGNING, STILL or COARSE
     stretch: Moments  # since the stretch began
     second: Moments  # of the present second
+    before: Vector3  # T, mean field of the second before it
     aids: Aids  # of the present second
     kept: Moments  # of the stretch up to its last still second
     kept_s: Number  # s, its length; 0: none
@@ -181,6 +184,7 @@ def begin(s: Stretch) -> None:
     _clear(s.kept)
     _forget(s.aids)
     s.kept_s = 0.0
+    s.before[0] = s.before[1] = s.before[2] = math.nan
     s.turned[0] = 1.0
     s.turned[1] = s.turned[2] = s.turned[3] = 0.0
 
@@ -213,19 +217,35 @@ def _is_moving(aids: Aids) -> bool:
 
 
 @inner
+def _turn_is_bias(s: Stretch) -> bool:
+    """Whether the field stays where it is while the gyro says that it turns by several degrees a second."""
+    m, b = s.second, s.before
+    if m.fields < 1.0:
+        return False
+    w0, w1, w2 = m.mean[0], m.mean[1], m.mean[2]
+    f0, f1, f2 = m.mean[6], m.mean[7], m.mean[8]
+    across = math.sqrt((w1 * f2 - w2 * f1) ** 2 + (w2 * f0 - w0 * f2) ** 2 + (w0 * f1 - w1 * f0) ** 2)  # in a second
+    change = math.sqrt((f0 - b[0]) ** 2 + (f1 - b[1]) ** 2 + (f2 - b[2]) ** 2)  # NaN: nothing before, and none is known
+    seen = across > 0.03 * math.sqrt(f0**2 + f1**2 + f2**2)
+    bias: bool = seen and change < 0.2 * across and w0**2 + w1**2 + w2**2 < GREATEST_BIAS**2
+    return bias
+
+
+@inner
 def _second_is_still(s: Stretch, gyro_limit: float, accel_limit: float, gravity: float) -> bool:
     """Whether noise explains the scatter, a bias the rate, and gravity the force."""
     m = s.second
     n = m.samples
     if n < 2.0 or _is_moving(s.aids):
         return False
-    norm2 = 0.0
+    norm2, fast = 0.0, False
     for i in range(3):
         norm2 += m.mean[3 + i] ** 2
-        if m.spread[i, i] > (n - 1.0) * gyro_limit**2 or abs(m.mean[i]) > MEAN_RATE:
+        fast |= abs(m.mean[i]) > MEAN_RATE
+        if m.spread[i, i] > (n - 1.0) * gyro_limit**2 or m.spread[3 + i, i] > (n - 1.0) * accel_limit**2:
             return False
-        if m.spread[3 + i, i] > (n - 1.0) * accel_limit**2:
-            return False
+    if fast and not _turn_is_bias(s):
+        return False
     return abs(math.sqrt(norm2) / gravity - 1.0) < 0.1
 
 
@@ -276,6 +296,8 @@ def _end_second(
             return True
         _clear(s.stretch)
         s.stretch_t = t
+    for i in range(3):
+        s.before[i] = s.second.mean[6 + i] if s.second.fields > 0.0 else math.nan
     _clear(s.second)
     _forget(s.aids)
     s.second_t = t
@@ -387,15 +409,15 @@ def conclude(s: Stretch, still: bool, site: Place, sensors: Sheet, out: Alignmen
         turn(q, -since * rate[0], -since * rate[1], -since * rate[2], q)
     # velocity and place, where an aid says them: a filter that starts in motion needs them
     a = s.aids
-    moving = not still and math.isfinite(a.vel1_t)
-    placed = moving and on_earth(a.lla[0], a.lla[1], a.lla[2])
+    out.still, out.moving = still, cut or not still
+    timed = (cut or not still) and math.isfinite(a.vel1_t)
+    placed = timed and on_earth(a.lla[0], a.lla[1], a.lla[2])
     for i in range(3):
-        out.vel_n[i] = a.vel1_n[i] if moving else math.nan
+        out.vel_n[i] = a.vel1_n[i] if timed else math.nan
         out.lla[i] = a.lla[i] if placed else math.nan
         out.air_n[i] = math.nan
-    if known == FLIGHT and has_heading:
+    if (known == FLIGHT or (cut and a.speed1 > FLYING)) and has_heading:
         to_nav(q, a.speed1 * _AHEAD, 0.0, a.speed1 * _BELOW, out.air_n)
-    out.still = still
     _sigmas(still, aided, has_heading, m, site, sensors, out)
     if cut:  # a slow turn or a steady push may have passed for standing
         for i in range(3):

@@ -19,7 +19,7 @@ from estimators.records import Place, Sheet, blank_estimates, pack, pack_setting
 from estimators.run import Instance, begin, forget, process
 from estimators.types import MEASUREMENTS, Estimates, Samples, SensorInfo, Site
 
-STATE_VERSION = 2
+STATE_VERSION = 3
 _KEPT = ("clock", "u", "z", "used", "trust")
 
 

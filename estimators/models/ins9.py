@@ -419,7 +419,7 @@ def build(
     for i in range(4):
         x.q_nb[i] = alignment.q_nb[i]
     turned_sigmas(alignment, 1.0, P)
-    speed = 0.1 if alignment.still else 3.0 if known else 30.0
+    speed = 3.0 if known else 30.0 if alignment.moving else 0.1
     for i in range(3):
         x.lla[i] = alignment.lla[i] if known else site.lla[i]
         x.vel_n[i] = alignment.vel_n[i] if known else 0.0

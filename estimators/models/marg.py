@@ -440,5 +440,5 @@ def build(
         P[i, i] += 1e-8
     for i in range(3):
         x.gyro_bias[i] = alignment.gyro_bias[i]
-        P[4 + i, 4 + i] = 0.01**2 if alignment.still else 0.3**2
+        P[4 + i, 4 + i] = 0.3**2 if alignment.moving else 0.01**2
         P[7 + i, 7 + i] = alignment.gyro_bias_sigma[i] ** 2

@@ -62,7 +62,7 @@ from estimators.types import Estimates, Samples, SensorInfo, Site, blank
 
 FLICKER = 1.29  # sigma of a Gauss-Markov term one decade wide, over the floor of the Allan deviation
 SCALE_TIME = 5.0  # s, how long a rate lasts
-STATE_VERSION = 1
+STATE_VERSION = 2
 ALIGNMENT_SHARE = 4.0  # alignment and calibration states come from the same readings: it counts as this much wider
 
 
@@ -280,7 +280,7 @@ def deviations(settings: Mapping[str, Any], site: Site, sensors: SensorInfo, ali
     sigma = np.zeros(N)
     still = alignment.still
     sigma[PHI : PHI + 3] = np.minimum(ALIGNMENT_SHARE * alignment.sigma_n, NO_HEADING) if still else alignment.sigma_n
-    sigma[VEL : VEL + 3] = 0.1 if still else 3.0 if np.isfinite(alignment.vel_n).all() else 30.0
+    sigma[VEL : VEL + 3] = 3.0 if np.isfinite(alignment.vel_n).all() else 30.0 if alignment.moving else 0.1
     sigma[POS : POS + 3] = 100.0
     sigma[GYRO_BIAS : GYRO_BIAS + 3] = max(sensors.gyro_bias, 1e-5)
     sigma[ACCEL_BIAS : ACCEL_BIAS + 3] = max(sensors.accel_bias, 1e-4)

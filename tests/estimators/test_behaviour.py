@@ -327,6 +327,30 @@ def test_a_short_standing_counts(seconds):
     assert np.sqrt(estimates.att_cov[begun, 0, 0]) < np.radians(3.0)
 
 
+@pytest.mark.parametrize("bias_deg", [(0.0, 0.0, 5.0), (0.0, 14.0, 0.0), (-6.0, 5.0, 8.0)])
+def test_a_great_gyro_bias_is_learnt_standing(bias_deg):
+    """The field stays where it is, so that nothing turns."""
+    samples, truth = swinging(30.0)
+    bias = np.radians(bias_deg)
+    off = dataclasses.replace(samples, gyro_b=samples.gyro_b + bias)
+    estimates = create("marg-ckf", site=SITE, align_s=3.0).process(off)
+    begun = int(np.flatnonzero(estimates.status != Status.ALIGNING)[0])
+    assert begun == 400  # the first second has none before it to compare with
+    assert estimates.gyro_bias[begun] == pytest.approx(np.add(bias, (0.005, -0.004, 0.003)), abs=2e-3)
+    assert error_deg(estimates.q_nb[begun:], truth[begun:])[0].max() < 8.0
+
+
+@pytest.mark.parametrize("rate_deg", [2.0, 5.0, 14.0])
+def test_a_steady_turn_is_no_gyro_bias(rate_deg):
+    """On a turntable the field turns along."""
+    t = np.arange(1500) / 100.0
+    samples, _ = flight(0.05 + 0 * t, 0.1 + 0 * t, np.radians(rate_deg) * t, np.zeros((len(t), 3)))
+    estimates = create("marg-ckf", site=SITE, align_s=3.0).process(samples)
+    begun = int(np.flatnonzero(estimates.status != Status.ALIGNING)[0])
+    assert begun == 500
+    assert np.abs(estimates.gyro_bias[begun]).max() < np.radians(0.5)
+
+
 def test_wrong_shapes_are_named():
     n = 5
     with pytest.raises(SampleError, match="gyro_b"):

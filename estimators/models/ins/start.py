@@ -100,7 +100,7 @@ def build(
     _constants(n, use_gnss, site, sensors, sigma)
     for i in range(3):
         sigma[PHI + i], sigma[BG + i] = alignment.sigma_n[i], alignment.gyro_bias_sigma[i]
-        sigma[V + i] = 0.1 if alignment.still else 3.0 if known else 30.0
+        sigma[V + i] = 3.0 if known else 30.0 if alignment.moving else 0.1
     for i in range(n):
         P[i, i] = P_restart[i, i] = sigma[i] ** 2
     for i in range(3):
