@@ -60,7 +60,7 @@ class Mavlink(Reader):
 class VectorNav(Reader):
     """Written from the manual of the VN-300: the three messages by their headers."""
 
-    IMU = b"\xfa\x01" + struct.pack("<H", 0x0123)  # TimeStartup, TimeGps, AngularRate, Accel
+    IMU = b"\xfa\x01" + struct.pack("<H", 0x0203)  # TimeStartup, TimeGps, Imu: accelerometer, gyro
     MAG = b"\xfa\x01" + struct.pack("<H", 0x0401)  # TimeStartup, MagPres
     GNSS = b"\xfa\x09" + struct.pack(
         "<HH", 0x0001, 0x06BE
@@ -103,7 +103,7 @@ class VectorNav(Reader):
                         "gnss_satellites": satellites,
                         "gnss_new": True,
                     }
-                rows.append(self.row(t_ns * 1e-9, t_ns, inertial[:3], inertial[3:]))
+                rows.append(self.row(t_ns * 1e-9, t_ns, inertial[3:], inertial[:3]))
         return rows
 
     def answer(self, row: dict[str, Any], q: np.ndarray, rpy: np.ndarray) -> bytes:

@@ -2,7 +2,8 @@
 
 After the user manuals of VN-100 and VN-300 (UM001, UM005), chapter "Binary output messages": 0xFA, a byte of groups,
 for each group a word of fields, the fields, and a CRC-16 (CCITT, from 0) that makes the whole zero. Body axes are FRD;
-the accelerometer gives specific force; quaternions have their scalar last. GNSS heights are above the ellipsoid.
+the accelerometer gives specific force; quaternions have their scalar last. GNSS heights are above the ellipsoid. The
+field Imu is sent: no bias of the unit's own filter has been taken out of it.
 """
 
 import binascii
@@ -26,7 +27,7 @@ _SIZES = (
 )
 """Bytes of the fields of each group, from the lowest bit on."""
 
-_STARTUP, _GPS_NS, _YPR, _QUATERNION, _RATE, _ACCEL, _MAG_PRES = 0, 1, 3, 4, 5, 8, 10  # of the common group
+_STARTUP, _GPS_NS, _YPR, _QUATERNION, _IMU, _MAG_PRES = 0, 1, 3, 4, 9, 10  # of the common group
 _TOW, _WEEK, _SATELLITES, _FIX, _LLA, _VEL, _POS_U, _VEL_U = 1, 2, 3, 4, 5, 7, 9, 10  # of the GNSS group
 _ATTITUDE, _ATTITUDE_YPR, _ATTITUDE_QUATERNION, _ATTITUDE_SIGMA = 4, 1, 2, 8
 
@@ -82,8 +83,8 @@ class VectorNav:
             fields = struct.pack("<5f", *field, reading.temperature - 273.15, pressure)
             made += message((0, (_STARTUP, _MAG_PRES)), payload=startup + fields)
         gps_ns = week * 604_800 * 10**9 + in_week
-        fields = struct.pack("<Q6f", gps_ns, *reading.gyro_b, *reading.accel_b)
-        return made + message((0, (_STARTUP, _GPS_NS, _RATE, _ACCEL)), payload=startup + fields)
+        fields = struct.pack("<Q6f", gps_ns, *reading.accel_b, *reading.gyro_b)
+        return made + message((0, (_STARTUP, _GPS_NS, _IMU)), payload=startup + fields)
 
     def _gnss(self, t_ns: int, position: Position) -> bytes:
         week, in_week = gps_time(self._zero_ns + position.t_ns)
