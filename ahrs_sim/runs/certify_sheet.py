@@ -45,7 +45,7 @@ def _notes(standard: Standard, sheet: Sheet) -> Iterator[str]:
         f"{100 * standard.confidence:g} % confidence; margin: limit less bound (less found, without bound)"
     )
     sources = dict.fromkeys((f.requirement.own, f.requirement.source) for f in sheet.findings)
-    yield from (f"{'*: the project its own; ' if own else 'limit: '}{source}" for own, source in sources)
+    yield from (f"{'limit*, of the project alone' if own else 'limit'}: {source}" for own, source in sources)
 
 
 def text(standard: Standard, sheet: Sheet) -> str:
