@@ -290,7 +290,7 @@ def _is_path(name: str) -> bool:
 
 
 def _own_model(name: str, where: str) -> Path | None:
-    """The XML file of an aircraft given as a path; None: it is a name."""
+    """Find the XML file of an aircraft given as a path; None: it is a name."""
     if not _is_path(name):
         return None
     path = (Path(where).parent / Path(name).expanduser()).resolve()
@@ -313,7 +313,7 @@ def _is_model(path: Path) -> bool:
 
 
 def script_path(name: str, where: str) -> Path:
-    """The file of a script: of JSBSim's by its name, else a path from the folder of the file `where` on.
+    """Find the file of a script: of JSBSim's by its name, else a path from the folder of the file `where` on.
 
     Raises:
         InputError: there is none.
@@ -330,7 +330,7 @@ def script_path(name: str, where: str) -> Path:
 
 
 def trims(script: Path) -> bool:
-    """Whether a script trims, which puts the aircraft back to where it began."""
+    """Test whether a script trims, which puts the aircraft back to its start."""
     text = script.read_text(errors="replace")
     return "simulation/do_simple_trim" in text or "simulation/do_trim" in text
 

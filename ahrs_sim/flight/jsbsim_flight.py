@@ -412,7 +412,7 @@ class JsbsimFlight:
 
 
 def _own_aircraft(scenario: Scenario) -> str:
-    """The path of a script's aircraft where it is not one of JSBSim's."""
+    """Find the path of a script's aircraft where it is not one of JSBSim's."""
     return scenario.aircraft if scenario.aircraft not in ("", Path(scenario.aircraft).stem) else ""
 
 

@@ -98,7 +98,7 @@ def text(source: str | Path | Any, *, everything: bool = True) -> str:
 
 
 def _together(topics: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The topics with a row for each of `/est/*/state` instead of one an estimator."""
+    """Merge the topics of estimators: one row for each of `/est/*/state` instead of one an estimator."""
     found: dict[tuple[str, str], dict[str, Any]] = {}
     for t in topics:
         parts = t["topic"].split("/")

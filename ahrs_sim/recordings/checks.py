@@ -46,7 +46,7 @@ class Assumed:
 
 
 def suspicions(s: Survey, assumed: Assumed, track: Track | None) -> list[str]:
-    """Lines on what contradicts the assumptions.
+    """List what contradicts the assumptions, a line each.
 
     Args:
         s: the survey.
@@ -70,7 +70,7 @@ def suspicions(s: Survey, assumed: Assumed, track: Track | None) -> list[str]:
 
 
 def missing(chosen: Collection[str], s: Survey) -> list[str]:
-    """Lines on sensors that are not there (of all kinds) and what that makes of the errors."""
+    """List sensors that are missing and what that makes of the errors, a line each."""
     found = []
     moved = np.ptp(s.fixes[:, :2], axis=0).max() if len(s.fixes) else 0.0
     if moved > 1e-5 and "velocity" not in chosen:
@@ -81,7 +81,7 @@ def missing(chosen: Collection[str], s: Survey) -> list[str]:
 
 
 def unaided(components: Iterable[Component], chosen: Collection[str]) -> list[str]:
-    """Lines on estimators that take an aid which is not among the kinds chosen."""
+    """List estimators with an aid that is not among the kinds chosen, a line each."""
     methods = {m.name: m for m in library.describe() if m.own}
     there = {"gnss": "velocity" in chosen, "airspeed": bool({"air", "diff_pressure"} & set(chosen))}
     found = []
@@ -103,7 +103,7 @@ def unaided(components: Iterable[Component], chosen: Collection[str]) -> list[st
 
 
 def late_line(track: Track) -> str:
-    """The line on a delay of the GNSS velocity."""
+    """Describe a delay of the GNSS velocity in a line."""
     word = "late" if track.delay > 0 else "early"
     shift = -round(track.delay, 2)
     return (
@@ -171,7 +171,7 @@ def _bias(s: Survey) -> list[str]:
 
 
 def _gyro_unit(s: Survey) -> list[str]:
-    """Degrees for radians, by the range of any gyro and by the turning of field and gravity."""
+    """Detect degrees for radians, by the range of any gyro and by the turning of field and gravity."""
     rate = np.linalg.norm(s.gyro_b, axis=1)
     if len(rate) and np.quantile(rate, 0.99) > GYRO_RANGE:
         return [f"gyro reads up to {rate.max():.0f} rad/s: unit is deg/s? ([imu] gyro_unit)"]
@@ -184,7 +184,7 @@ def _gyro_unit(s: Survey) -> list[str]:
 
 
 def _turning(s: Survey, seen: np.ndarray, offset: bool) -> tuple[float, float]:
-    """How much of the gyro's rate a vector (n, 3) fixed in the world turns with, and the share of it explained."""
+    """Fit the share of the gyro's rate with which a vector (n, 3) fixed in the world turns, and what it explains."""
     dt = np.diff(s.t)
     change, middle = np.diff(seen, axis=0), 0.5 * (seen[1:] + seen[:-1])
     turn = 0.5 * (s.gyro_b[1:] + s.gyro_b[:-1]) * dt[:, None]
@@ -202,7 +202,7 @@ def _turning(s: Survey, seen: np.ndarray, offset: bool) -> tuple[float, float]:
 
 
 def signed_axes() -> Iterator[tuple[str, np.ndarray]]:
-    """All 48 signed permutations of three axes: name and matrix (3, 3); the 24 of determinant 1 are rotations."""
+    """List all 48 signed permutations of three axes: name and matrix (3, 3); 24 of them are rotations."""
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             matrix = np.zeros((3, 3))
@@ -243,7 +243,7 @@ class Orientation:
 
 
 def orientation(s: Survey, mag_b: np.ndarray, dip: float | None) -> Orientation | None:
-    """The signed permutation of axes with which the field turns as the gyro says, and has the dip of the place.
+    """Find the signed permutation of axes with which the field turns with the gyro and has the dip of the place.
 
     A vector and its opposite turn alike, so without a dip only the 24 rotations are tried.
 
@@ -272,7 +272,7 @@ def orientation(s: Survey, mag_b: np.ndarray, dip: float | None) -> Orientation 
 
 
 def _dip_misfit(s: Survey, mag_b: np.ndarray, dip: float | None) -> float:
-    """What speaks against a dip that is off by more than 15 deg, from 0 to 2; 0 where nothing is known."""
+    """Grade a dip that is off by more than 15 deg, from 0 to 2; 0 where nothing is known."""
     angle = _dip_of(s, mag_b) if dip is not None else None
     if angle is None or dip is None or abs(angle - dip) < math.radians(15.0):
         return 0.0
@@ -280,7 +280,7 @@ def _dip_misfit(s: Survey, mag_b: np.ndarray, dip: float | None) -> float:
 
 
 def _about_all_axes(pairs: Turns) -> bool:
-    """Whether the turns are not all about one axis."""
+    """Test whether the turns are about more than one axis."""
     axis = np.stack(
         [pairs.C[:, 2, 1] - pairs.C[:, 1, 2], pairs.C[:, 0, 2] - pairs.C[:, 2, 0], pairs.C[:, 1, 0] - pairs.C[:, 0, 1]],
         axis=1,
@@ -301,7 +301,7 @@ def _turn_misfit(pairs: Turns, matrix: np.ndarray) -> float:
 
 
 def _dip_of(s: Survey, mag_b: np.ndarray) -> float | None:
-    """Angle (rad) of the field below the horizon where the accelerometer shows the vertical; None: nowhere."""
+    """Measure the dip (rad) of the field where the accelerometer shows the vertical; None: nowhere."""
     norm = np.linalg.norm(s.accel_b, axis=1)
     calm = s.still if s.still.sum() > 50 else np.abs(norm - G) < _CALM
     calm = calm & np.isfinite(mag_b).all(axis=1)
@@ -313,7 +313,7 @@ def _dip_of(s: Survey, mag_b: np.ndarray) -> float | None:
 
 
 def _orientation(s: Survey, assumed: Assumed, track: Track | None) -> list[str]:
-    """A magnetometer that is mounted another way round than the gyro."""
+    """Detect a magnetometer that is mounted in other axes than the gyro."""
     if not np.isfinite(assumed.mag_b).any():
         return []
     dip = magnetic.dip(assumed.field_n) if assumed.field_n is not None else None
@@ -336,7 +336,7 @@ def _orientation(s: Survey, assumed: Assumed, track: Track | None) -> list[str]:
 
 
 def _fits_better(s: Survey, gyro: np.ndarray, track: Track | None) -> bool:
-    """Whether accelerometer and GNSS, or gravity alone, agree with a gyro turned by a matrix (3, 3) better."""
+    """Test whether accelerometer and GNSS, or gravity alone, agree better with a gyro turned by a matrix (3, 3)."""
     other = inertial.scaled(s, gyro, np.eye(3))
     if track is not None:
         made = inertial.windows(other)
@@ -348,7 +348,7 @@ def _fits_better(s: Survey, gyro: np.ndarray, track: Track | None) -> bool:
 
 
 def mounting_lines(matrix: np.ndarray, mag_axes: np.ndarray) -> str:
-    """What to write into a map for a magnetometer whose readings in FRD a matrix (3, 3) puts right."""
+    """Make the lines of a map for a magnetometer whose readings in FRD a matrix (3, 3) corrects."""
     if np.linalg.det(matrix) > 0:
         angles = np.degrees(attitude.euler_of(matrix))
         return "[magnetometer] " + ", ".join(
@@ -359,7 +359,7 @@ def mounting_lines(matrix: np.ndarray, mag_axes: np.ndarray) -> str:
 
 
 def _dip(s: Survey, assumed: Assumed) -> list[str]:
-    """An angle between field and gravity that the place does not have."""
+    """Detect an angle between field and gravity that the place does not have."""
     if assumed.field_n is None:
         return []
     dip = magnetic.dip(assumed.field_n)

@@ -47,7 +47,7 @@ class Clock:
     unset: bool = False  # no header has a time: the log's times stand for them
 
     def times(self, header: np.ndarray, log: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Times (n,) ns by header and by log, without the steps."""
+        """Remove the steps from times (n,) ns by header and by log."""
         part = np.searchsorted(self.at, log, "right")
         steady = log - self.log[part]
         return (steady if self.unset else header - self.header[part] - self.offset), steady
@@ -64,7 +64,7 @@ class Clocks:
     notes: list[str] = field(default_factory=list)
 
     def of(self, kind: str) -> Clock:
-        """The clock of a kind."""
+        """Return the clock of a kind."""
         return self.by_kind.setdefault(kind, Clock())
 
 
@@ -129,7 +129,7 @@ def _jumps(difference: np.ndarray) -> np.ndarray:
 
 
 def _steps(kind: str, header: np.ndarray, log: np.ndarray, clocks: Clocks) -> Clock:
-    """The clock of one kind: where one of its times jumps against the other and stays."""
+    """Find the clock of one kind: where one of its times jumps against the other and stays."""
     difference = header - log
     jumps = _jumps(difference)
     if len(jumps) > 4:  # times before and after a step back may lie over each other

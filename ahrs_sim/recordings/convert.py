@@ -124,7 +124,7 @@ class Converter:
         }
 
     def records(self, blocks: Iterable[dict[str, np.ndarray]]) -> Iterator[SuiteBlock]:
-        """Blocks of records by kind, in the order of their stamps, `arrival_ns` being the stamp."""
+        """Yield blocks of records by kind, in the order of their stamps, `arrival_ns` being the stamp."""
         for block in blocks:
             self._take(block)
             if block_records := self._release(self._newest - HOLD_NS - self._clocks.hold_ns):
@@ -170,7 +170,7 @@ class Converter:
         self._queues[kind].add(record(**{k: v[good] for k, v in made.items()}))
 
     def _stamps(self, kind: str, array: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Times of messages (n,) ns from the epoch, shifted as the map says, and which of them can be."""
+        """Compute times of messages (n,) ns from the epoch, shifted by the map, and mask those that are possible."""
         header, clock = stamps(array), self._clocks.of(kind)
         by_header, by_log = clock.times(header, array["log_time"])
         shift = self.mapping.shifts.get(kind, 0)
@@ -185,7 +185,7 @@ class Converter:
         return (by_log if self._clocks.by_log else by_header) - self.epoch_ns + shift, good
 
     def _joined(self, gyro: np.ndarray, accel: np.ndarray) -> np.ndarray:
-        """Messages of the gyro with the acceleration of their time, of an accelerometer with a topic of its own."""
+        """Join messages of the gyro with the acceleration of their time, from an accelerometer with its own topic."""
         turn = frames.to_frd(self.chosen["imu"].body).T @ frames.to_frd(self.chosen["accel"].body)
         ns = np.r_[self._force[0], self._stamps("accel", accel)[0]]
         force = np.concatenate([self._force[1], vector(accel["linear_acceleration"]) @ turn.T])
@@ -310,7 +310,7 @@ class Converter:
 
 
 def _filled(ns: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values (n, 3) with rows of NaN interpolated where a neighbour is within `BRIDGED_NS`."""
+    """Interpolate rows of NaN in values (n, 3) where a neighbour is within `BRIDGED_NS`."""
     known = np.isfinite(values).all(axis=1)
     if known.all() or not known.any():
         return values
@@ -355,7 +355,7 @@ class _Queue:
         return stamps
 
     def release(self, until: int, imu: int) -> Any:
-        """Everything stamped up to `until`, in order; the IMU is released up to `imu`."""
+        """Release everything stamped up to `until`, in order; the IMU up to `imu`."""
         ns = self._held.stamp_ns
         early = ns <= until
         taken = _picked(self._held, np.flatnonzero(early)[np.argsort(ns[early], kind="stable")])
@@ -396,7 +396,7 @@ def _picked(block: Any, rows: np.ndarray) -> Any:
 
 
 def _before_pair(until: int, stamps_ns: Iterable[np.ndarray]) -> int:
-    """The last time up to `until` that does not part a fix from its velocity."""
+    """Find the last time up to `until` that does not part a fix from its velocity."""
     if until == np.iinfo(np.int64).max:
         return until
     every = np.sort(np.concatenate([*stamps_ns, np.empty(0, np.int64)]))
@@ -408,7 +408,7 @@ def _before_pair(until: int, stamps_ns: Iterable[np.ndarray]) -> int:
 
 
 def _together(fix: Any, velocity: Any) -> tuple[Any, Any]:
-    """Fixes and velocities of one solution with one stamp, arriving at once: estimators take both as of one instant."""
+    """Give fixes and velocities of one solution one stamp and one arrival: estimators take both as of one instant."""
     if not len(velocity) or not len(fix):
         return fix, velocity
     last = len(fix) - 1

@@ -106,7 +106,7 @@ class Map:
     date: datetime.datetime | None = None  # of the recording, where its own times are none
 
     def mag_axes(self, body: str) -> np.ndarray:
-        """(3, 3) from a magnetometer's messages in `body` axes to the vehicle's FRD."""
+        """Make the matrix (3, 3) from a magnetometer's messages in `body` axes to the vehicle's FRD."""
         axes: np.ndarray = self.mount @ self.mag_mount @ frames.to_frd(body)
         return axes
 

@@ -104,7 +104,7 @@ class Outcome:
         return found
 
     def nis(self, name: str) -> dict[str, float]:
-        """NIS per degree of freedom of each measurement of an estimator, median over the seconds that have one."""
+        """Compute NIS per degree of freedom of each measurement of an estimator, median over the seconds with one."""
         return {
             measured: float(np.median([total / count for total, count in seconds.values()]))
             for measured, seconds in self._seen[name].squares.items()
@@ -122,6 +122,6 @@ def _seen(estimator: Any) -> _Seen:
 
 
 def _listed(nis: Mapping[str, float]) -> str:
-    """NIS of each sensor with its figure in `[sensors]`, the worst first."""
+    """List NIS of each sensor with its figure in `[sensors]`, the worst first."""
     worst = sorted(nis.items(), key=lambda item: -item[1])
     return "NIS of " + ", ".join(f"{_NAMES[m][0]} {value:.3g} ({_NAMES[m][1]})" for m, value in worst)

@@ -69,18 +69,18 @@ class Bag:
         return [*kinds, "air"] if "diff_pressure" in kinds and "air" not in kinds else kinds
 
     def installation(self) -> Installation:
-        """How its sensors are installed, as far as the recording shows it."""
+        """Find how its sensors are installed, as far as the recording shows it."""
         dip = magnetic.dip(np.array(self.site.mag_n)) if self.has_place else None
         return find(self.seen, self.mag_b, self.mapping, self.site.gravity, dip)
 
     def blocks(self) -> Iterator[dict[str, SuiteBlock]]:
-        """Records by suite, in order; once."""
+        """Yield records by suite, in order; once."""
         topics = [c.topic.name for c in self.converter.chosen.values()]
         for block in self.converter.records(self.source.blocks(topics)):
             yield {SUITE: within(block, *_nanoseconds(self.span))}
 
     def counted(self) -> list[str]:
-        """What was wrong with the messages, after the last block."""
+        """List what was wrong with the messages, after the last block."""
         return [f"{what}: {n}" for what, n in sorted(self.converter.counts.items()) if n]
 
 
@@ -176,10 +176,10 @@ def _opened(
         gravity=gravity_at(lla) if place else gravity.STANDARD,
         mag_n=_NO_FIELD if model is None else (float(model[0]), float(model[1]), float(model[2])),
     )
-    told = {"rate": seen.rate}
+    figures = {"rate": seen.rate}
     if math.isfinite(left):
-        told["mag_bias"] = math.hypot(SensorInfo().mag_bias, left)
-    sensors = SensorInfo(**{**told, **map_.sensors})
+        figures["mag_bias"] = math.hypot(SensorInfo().mag_bias, left)
+    sensors = SensorInfo(**{**figures, **map_.sensors})
     components = _estimators(map_, names, chosen, str(source.path), gate)
     if names or map_.estimators:
         notes += [f"check: {line}" for line in checks.unaided(components, chosen)]
@@ -209,7 +209,7 @@ def _opened(
 def _looked(
     source: Source, map_: Map, span: tuple[float, float]
 ) -> tuple[dict[str, Choice], survey.Survey, clocks.Clocks, list[str]]:
-    """Topics by kind, a look at all of their messages within a span (s), their clocks, and what to say of that."""
+    """Choose topics by kind and survey their messages within a span (s); return clocks and notes as well."""
     path = source.path
     passed: list[str] = []
     chosen = choosing.choose(source, map_, passed)
@@ -229,12 +229,12 @@ def _looked(
 
 
 def _nanoseconds(span: tuple[float, float]) -> tuple[float, float]:
-    """Of a span (s), from the very first message where it begins at 0: that was stamped before it was logged."""
+    """Convert a span (s) to ns; one from 0 begins with the very first message, stamped before it was logged."""
     return 1e9 * span[0] if span[0] > 0.0 else -math.inf, 1e9 * span[1]
 
 
 def _magnetometer_as_is(converter: Converter, source: Source, topics: list[str]) -> Iterator[SuiteBlock]:
-    """Records whose magnetometer is turned back into the axes of its messages."""
+    """Turn the magnetometer of records back into the axes of its messages."""
     choice = converter.chosen.get("mag")
     axes = converter.mapping.mag_axes(choice.body) if choice else np.eye(3)
     for block in converter.records(source.blocks(topics)):
@@ -255,7 +255,7 @@ def _place(seen: survey.Survey, map_: Map) -> tuple[float, float, float] | None:
 
 
 def _field(place: tuple[float, float, float] | None, source: Source, map_: Map, notes: list[str]) -> np.ndarray | None:
-    """Field of the place (3,) T in NED, by the model of the date; None without a place."""
+    """Compute the field of the place (3,) T in NED, by the model of the date; None without a place."""
     if place is None:
         return None
     lla, middle = np.array([place]), 0.5 * (magnetic.FIRST + magnetic.LAST)
@@ -304,7 +304,7 @@ def _calibrated(
     track: inertial.Track | None,
     notes: list[str],
 ) -> tuple[Calibration, dict[str, str], float]:
-    """What to take out of the sensors, the same as texts to keep, and the sigma (T) of hard iron left, NaN: unknown."""
+    """Calibrate: what to take out of the sensors, the same as texts, and the sigma (T) of hard iron left (NaN)."""
     calibration, left = Calibration(map_.hard_iron, map_.soft_iron, map_.gyro_bias), math.nan
     if "mag" in calibrate and "mag" not in chosen:
         raise InputError("--calibrate mag: no magnetometer in this recording; leave it out")
@@ -374,7 +374,7 @@ def _estimators(
 
 
 def _soon_aligned(components: Sequence[Component], seen: survey.Survey, notes: list[str]) -> tuple[Component, ...]:
-    """The estimators, with a shorter alignment where the recording would be over before it is."""
+    """Shorten the alignment of estimators where the recording would be over before it is."""
     seconds = float(seen.t[-1] - seen.t[0])
     methods = {m.name: m.settings.get("align_s") for m in library.describe() if m.own}
     made = []

@@ -73,7 +73,7 @@ def units(log: "LogReader | RecordingLog", topic: str) -> dict[str, str]:
 
 
 def _columns(array: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """The columns that fit into a table."""
+    """Yield the columns that fit into a table."""
     for name, values in flatten(array):
         if name == "log_time" or name.startswith("header."):
             continue
@@ -134,7 +134,7 @@ def export(path: Path, form: str, folder: Path, topics: Sequence[str] = (), map_
 
 
 def plain_cell(text: str) -> str:
-    """Text for a cell of a CSV: one that a spreadsheet would take for a formula gets a `'` in front."""
+    """Make the text of a CSV cell: one that a spreadsheet would take for a formula gets a `'` in front."""
     return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
 
 

@@ -184,7 +184,7 @@ class Faults:
         self._waiting = bool(self.faults)
 
     def channel(self, name: str) -> Channel:
-        """The faults of one channel."""
+        """Select the faults of one channel."""
         return Channel(name, self.faults)
 
     def watch(self, t: np.ndarray) -> None:

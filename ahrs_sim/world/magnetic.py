@@ -85,7 +85,7 @@ _field = lru_cache(maxsize=8)(MagneticField)
 
 
 def dip(field_n: np.ndarray) -> float:
-    """Angle (rad) of a field (3,) in NED below the horizon; 0 of no field."""
+    """Compute the dip (rad) of a field (3,) in NED: its angle below the horizon; 0 of no field."""
     north, east, down = (float(x) for x in field_n)
     return math.atan2(down, math.hypot(north, east))
 

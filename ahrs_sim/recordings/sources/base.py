@@ -68,7 +68,7 @@ class Source(Protocol):
     one_clock: bool  # the times of headers are those of the log
 
     def topics(self) -> list[Topic]:
-        """All topics that can be read."""
+        """List all topics that can be read."""
         ...
 
     def dtype(self, topic: str) -> np.dtype[Any]:
@@ -76,7 +76,7 @@ class Source(Protocol):
         ...
 
     def blocks(self, topics: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
-        """Messages by topic, portion by portion, in the order of log time."""
+        """Yield messages by topic, portion by portion, in the order of log time."""
         ...
 
     def close(self) -> None:
@@ -101,7 +101,7 @@ class Columns:
 
 
 def laid_out(columns: Columns) -> np.ndarray:
-    """Messages (n,) of a type as `LogReader` would give them."""
+    """Make messages (n,) of a type as `LogReader` would give them."""
     out = np.zeros(len(columns.ns), dtype_of(columns.type_name))
     ns = out["log_time"] = columns.ns
     out["header"]["stamp"]["sec"], out["header"]["stamp"]["nanosec"] = ns // 10**9, ns % 10**9
@@ -157,7 +157,7 @@ class Held:
             )
 
     def topics(self) -> list[Topic]:
-        """All of it."""
+        """Return all topics."""
         return [Topic(name, c.type_name, len(c.ns), c.rank) for name, c in self._topics.items()]
 
     def dtype(self, topic: str) -> np.dtype[Any]:
@@ -165,7 +165,7 @@ class Held:
         return dtype_of(self._topics[topic].type_name)
 
     def blocks(self, topics: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
-        """In portions of ten seconds."""
+        """Yield portions of ten seconds."""
         chosen = {t: self._topics[t] for t in topics}
         keys = {t: (c.ns - self.epoch_ns) // _PORTION_NS for t, c in chosen.items()}
         order = {t: np.argsort(k, kind="stable") for t, k in keys.items()}
@@ -178,7 +178,7 @@ class Held:
             yield block
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: nothing is open."""
 
 
 class BinaryLog(Held):
@@ -209,7 +209,7 @@ def numbered(name: str, number: int) -> str:
 
 
 def gathered(*makers: Callable[[], Iterable[tuple[str, Columns]]]) -> tuple[dict[str, Columns], list[str]]:
-    """Topics of all makers, and a line for each that fails: a damaged description spoils its own topics only."""
+    """Collect topics of all makers, and a line for each that fails: a damaged description spoils its own only."""
     topics: dict[str, Columns] = {}
     notes = []
     for make in makers:
@@ -223,7 +223,7 @@ def gathered(*makers: Callable[[], Iterable[tuple[str, Columns]]]) -> tuple[dict
 
 
 def longest_part(ns: np.ndarray) -> tuple[slice, int]:
-    """The longest stretch of rows (n,) without a step back of the clock, and how many steps there are."""
+    """Find the longest stretch of rows (n,) without a step back of the clock; count the steps."""
     edges = np.flatnonzero(np.diff(ns) < -_STEP_NS) + 1
     bounds = np.r_[0, edges, len(ns)]
     k = int(np.argmax(np.diff(bounds)))
@@ -231,7 +231,7 @@ def longest_part(ns: np.ndarray) -> tuple[slice, int]:
 
 
 def believable(ns: np.ndarray) -> np.ndarray:
-    """Rows (n,) whose time agrees with that of their neighbours: in a damaged file single stamps are anything."""
+    """Mask rows (n,) whose time agrees with that of their neighbours: in a damaged file stamps are random."""
     if len(ns) < 5 or (np.abs(np.diff(ns.astype(float))) < 60e9).all():
         return np.ones(len(ns), bool)
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(ns, 2, mode="edge"), 5)
@@ -248,7 +248,7 @@ _LEAPS = np.array(
 
 
 def from_gps(week: np.ndarray, seconds: np.ndarray) -> np.ndarray:
-    """Time (n,) ns since 1970 (UTC) of a GPS week and the seconds in it."""
+    """Convert a GPS week and the seconds in it to time (n,) ns since 1970 (UTC)."""
     whole = np.floor(seconds)
     gps = week.astype(np.int64) * 604800 + whole.astype(np.int64)
     utc = gps + _GPS_EPOCH_S - np.searchsorted(_LEAPS, gps, "right")
@@ -257,7 +257,7 @@ def from_gps(week: np.ndarray, seconds: np.ndarray) -> np.ndarray:
 
 
 def extra(module: str, package: str, name: str) -> ModuleType:
-    """A module of an optional package.
+    """Import a module of an optional package.
 
     Raises:
         InputError: it is not installed; which extra has it.
@@ -269,5 +269,5 @@ def extra(module: str, package: str, name: str) -> ModuleType:
 
 
 def one_line(error: BaseException) -> str:
-    """The text of an error of others, short enough for a line."""
+    """Make the text of a foreign error short enough for a line."""
     return " ".join(str(error).split())[:120] or type(error).__name__

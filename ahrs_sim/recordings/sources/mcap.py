@@ -62,11 +62,11 @@ class Mcap:
             else:
                 refused.append(f"{topic} ({why})")
         self.foreign = bool(self._foreign)
-        told = ", ".join(refused[:4]) + (f" and {len(refused) - 4} more" if len(refused) > 4 else "")
+        reasons = ", ".join(refused[:4]) + (f" and {len(refused) - 4} more" if len(refused) > 4 else "")
         if refused:
-            self.notes.append(f"not read: {told}; read are {READ}")
+            self.notes.append(f"not read: {reasons}; read are {READ}")
         if not self._native and not self._foreign:
-            raise InputError(f"{self.path}: no topic in it can be read: {told}; read are {READ}")
+            raise InputError(f"{self.path}: no topic in it can be read: {reasons}; read are {READ}")
 
     def _unreadable(self, info: TopicInfo) -> str:
         """Why a topic cannot be read; nothing when it can."""
@@ -100,7 +100,7 @@ class Mcap:
         return first
 
     def topics(self) -> list[Topic]:
-        """All topics that can be read."""
+        """List all topics that can be read."""
         native = [Topic(t.topic, t.type_name, t.count) for t in self._native.values()]
         counts = self.reader.topics
         return native + [Topic(t, kind, counts[t].count) for t, kind in self._foreign.items()]
@@ -112,7 +112,7 @@ class Mcap:
         return self.reader.dtype(topic)
 
     def blocks(self, topics: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
-        """As `LogReader.blocks`; what is decoded message by message goes along with the rest."""
+        """Yield as `LogReader.blocks`; what is decoded message by message goes along with the rest."""
         native = [t for t in topics if t not in self._foreign]
         others = {t: self._decoded(t) for t in topics if t in self._foreign}
         given = dict.fromkeys(others, 0)
@@ -128,7 +128,7 @@ class Mcap:
 
     @functools.cache  # noqa: B019  # as long as the file is open
     def _decoded(self, topic: str) -> np.ndarray:
-        """All messages of a topic that is no ROS 2, as the standard type that it stands for."""
+        """Decode all messages of a topic that is not ROS 2 into the standard type that it stands for."""
         arrays = []
         numbers = self.reader.carried([topic])
         kind = self._foreign[topic]

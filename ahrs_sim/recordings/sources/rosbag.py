@@ -82,7 +82,7 @@ class Rosbag:
         return messages.definitions(standard) if standard else None
 
     def topics(self) -> list[Topic]:
-        """All topics whose type is known."""
+        """List all topics whose type is known."""
         counts = {t: sum(c.msgcount for c in connections) for t, connections in self._connections.items()}
         return [Topic(t, kind, counts[t]) for t, (kind, _) in self._types.items()]
 
@@ -92,7 +92,7 @@ class Rosbag:
         return dtype_of(kind, definitions)
 
     def blocks(self, topics: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
-        """Batches of messages."""
+        """Yield batches of messages."""
         chosen = [c for t in topics for c in self._connections[t]]
         waiting: dict[str, list[tuple[int, bytes]]] = {t: [] for t in topics}
         try:
