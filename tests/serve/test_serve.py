@@ -179,6 +179,7 @@ def test_a_unit_on_the_wire_has_the_figures_of_the_same_estimator_in_process(
         near = 0.2 if protocol == "ubx+nmea" else 0.01  # its resolution costs more than the others'
         assert unit["tilt_rmse_deg"] == pytest.approx(inside["tilt_rmse_deg"], rel=near)
         assert unit["availability"] == pytest.approx(inside["availability"], abs=0.02)
+    assert (unit["nees"] is not None) == (protocol in ("sbg", "ubx+nmea"))  # the client sends sigmas there
     with FlightReader(tmp_path / "x.mcap") as reader:
         messages = reader.read("/est/unit/state")
         late = (messages["log_time"] - stamps(messages)) / 1e9
