@@ -63,6 +63,11 @@ class Clocks:
     hold_ns: int = 0  # by how much the recorder's clock was set back: so much later messages may come
     notes: list[str] = field(default_factory=list)
 
+    def duration(self, logged: float) -> float:
+        """Compute the time (s) that a recording took whose log times span `logged` s, steps of that clock included."""
+        stepped = int(self.of("imu").log[-1]) if "imu" in self.by_kind else 0
+        return logged - stepped / 1e9 + self.hold_ns / 1e9
+
     def of(self, kind: str) -> Clock:
         """Return the clock of a kind."""
         return self.by_kind.setdefault(kind, Clock())
@@ -206,7 +211,8 @@ def _describe(clocks: Clocks, epoch_ns: int) -> None:
         )
     found: dict[tuple[str, int], list[tuple[str, float]]] = {}
     for kind, clock in clocks.by_kind.items():
-        for at, of_header, of_log in zip(clock.at, np.diff(clock.header), np.diff(clock.log), strict=True):
+        steady = clock.at - clock.log[1:]
+        for at, of_header, of_log in zip(steady, np.diff(clock.header), np.diff(clock.log), strict=True):
             whose = "header stamps" if of_header else "log's times"
             key = next((k for k in found if k[0] == whose and abs(k[1] - of_header - of_log) < _SAME_NS), None)
             found.setdefault(key or (whose, int(of_header + of_log)), []).append((kind, (at - epoch_ns) / 1e9))

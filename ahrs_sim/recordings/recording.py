@@ -223,7 +223,7 @@ def _looked(
         raise InputError(f"{path}: --skip/--until: no message of {chosen['imu'].topic.name} is left")
     if not len(seen.t):
         raise InputError(f"{path}: {chosen['imu'].topic.name} has no usable message; check stamps and [time] stamps")
-    notes = [*choosing.described(chosen, source.duration), *passed, *source.notes]
+    notes = [*choosing.described(chosen, clock.duration(source.duration)), *passed, *source.notes]
     notes += clock.notes
     return chosen, seen, clock, notes
 
