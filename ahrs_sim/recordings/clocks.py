@@ -1,7 +1,7 @@
 """The clocks behind the stamps of a recording: which steps they make, and what is to be taken off so that none is left.
 
 A message has two times, that of its header and that of the log. Latency makes the log's the later one, by an amount
-that comes and goes; a clock that is set makes the difference jump and stay. Which of the two was set is told by which
+that comes and goes; a clock that is set makes the difference jump and stay. Which of the two was set is shown by which
 of them jumps from one message to the next.
 """
 

@@ -1,4 +1,4 @@
-"""What the estimates themselves say of a recording: no attitude and why, innovations that are not of the size told."""
+"""Findings from the estimates of a recording: no attitude and why, innovations that are not of the predicted size."""
 
 import math
 from collections.abc import Mapping

@@ -168,16 +168,16 @@ class Csv(Held):
             place, size, dimension = fields[key]
             columns[place] = self._values(key, entry, file, size, dimension)
         owner = table if table.has("time") else whole
-        ns, told = self._times(keys, owner, file)
-        good = told & np.all([np.isfinite(v).all(axis=1) for v in columns.values()], axis=0)
+        ns, timed = self._times(keys, owner, file)
+        good = timed & np.all([np.isfinite(v).all(axis=1) for v in columns.values()], axis=0)
         apart = kind == "imu" and len(columns) == 2 and 2 * good.sum() < max(
-            int((told & np.isfinite(v).all(axis=1)).sum()) for v in columns.values()
+            int((timed & np.isfinite(v).all(axis=1)).sum()) for v in columns.values()
         )  # fmt: skip
         if apart or (kind == "imu" and len(columns) == 1 and split):
             return {
                 f"imu/{'gyro' if place == 'angular_velocity' else 'accel'}": self._selected(
                     "imu", {place: v, f"{_OTHER[place]}_covariance": np.tile(_ABSENT, (len(v), 1))},
-                    ns, told & np.isfinite(v).all(axis=1), file)
+                    ns, timed & np.isfinite(v).all(axis=1), file)
                 for place, v in columns.items()
             }  # fmt: skip
         return {kind: self._selected(kind, columns, ns, good, file)}
