@@ -27,6 +27,7 @@ TABLE = """#include "ahrs_estimator.h"
 __attribute__((section(".table"), used))
 const void *const table[] = {(const void *)ahrs_create, (const void *)ahrs_process};
 """
+COUNTED_FROM, COUNTED = 1500, 20  # rows
 CORES = {"cortex-m4f": "cortex_m4", "cortex-m7": "cortex_m7"}
 
 
@@ -75,7 +76,7 @@ class Board:
         access = self.machine.reg_read(arm_const.UC_ARM_REG_C1_C0_2)
         self.machine.reg_write(arm_const.UC_ARM_REG_C1_C0_2, access | 0xF << 20)
         self.machine.reg_write(arm_const.UC_ARM_REG_FPEXC, 0x40000000)
-        self._create, self._process = struct.unpack("<2I", self.machine.mem_read(self.FLASH, 8))
+        self._create, self._step = struct.unpack("<2I", self.machine.mem_read(self.FLASH, 8))
         self.instructions = 0
 
     def call(self, function: int, *arguments: int) -> int:
@@ -89,10 +90,15 @@ class Board:
         self.machine.emu_start(function | 1, self.RETURN)
         return int(self.machine.reg_read(arm.UC_ARM_REG_R0))
 
-    def estimate(self, known: bytes, rows: np.ndarray) -> bytes:
-        """Make an estimator of the bytes of site and sensors, and give it samples; the bytes of the estimates."""
+    def begin(self, known: bytes) -> None:
+        """Make the estimator, once, of the bytes of site and sensors."""
         self.machine.mem_write(self.DATA, known)
-        made = self.call(self._create, self.DATA, self.DATA + 56, 0)
+        self._made = self.call(self._create, self.DATA, self.DATA + 56, 0)
+        if not self._made:
+            raise RuntimeError("ahrs_create returned NULL")
+
+    def process(self, rows: np.ndarray) -> bytes:
+        """Give it samples; the bytes of the estimates."""
         into, out, answers = self.DATA + 0x1000, self.DATA + 0x100000, b""
         for first in range(0, len(rows), 100):
             part = rows[first : first + 100]
@@ -100,7 +106,7 @@ class Board:
             layout.blank_estimates(part["t"], blank)
             self.machine.mem_write(into, part.tobytes())
             self.machine.mem_write(out, blank.tobytes())
-            if self.call(self._process, made, into, len(part), out):
+            if self.call(self._step, self._made, into, len(part), out):
                 raise RuntimeError("ahrs_process failed")
             answers += bytes(self.machine.mem_read(out, blank.nbytes))
         return answers
@@ -162,13 +168,11 @@ def measured(method: str, target: str, made: Emitted, sensors: SensorInfo) -> st
             board = Board(link(Path(folder) / "code", name, target))
             rows = rows_of(block)
             known = layout.constants(site) + layout.constants(sensors)
-            board.estimate(known, rows)
-            stack = board.stack()
+            board.begin(known)
+            board.process(rows[:COUNTED_FROM])
             board.count()
-            board.estimate(known, rows[:1200])
-            before, board.instructions = board.instructions, 0
-            board.estimate(known, rows[:1300])
-            work = f"{stack / 1000:.1f} | {(board.instructions - before) / 100 / 1000:.1f}"
+            board.process(rows[COUNTED_FROM : COUNTED_FROM + COUNTED])
+            work = f"{board.stack() / 1000:.1f} | {board.instructions / COUNTED / 1000:.1f}"
     work = work or " | "
     return f"| `{method}` | {target} | {made.text / 1000:.0f} | {made.memory / 1000:.1f} | {work} |"
 

@@ -106,8 +106,8 @@ def test_a_cortex_gives_the_bytes_of_python(tmp_path: Path, marg_ekf: dict[str, 
     folder = tmp_path / "code"
     export.write("marg-ekf", {}, "chr", SENSORS, target, marg_ekf[target], folder)
     board = bench.Board(bench.link(folder, "marg_ekf", target))
-    answers = board.estimate(layout.constants(SITE) + layout.constants(SENSORS), bench.rows_of(BLOCK))
-    assert same(_read(answers), expected("marg-ekf"))
+    board.begin(layout.constants(SITE) + layout.constants(SENSORS))
+    assert same(_read(board.process(bench.rows_of(BLOCK))), expected("marg-ekf"))
 
 
 @pytest.fixture(scope="module")
