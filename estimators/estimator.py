@@ -14,7 +14,7 @@ from estimators.filters import points
 from estimators.filters.base import Method
 from estimators.filters.work import POINTS_FROM, SQUARE_ROOT_FROM, WORK, Carry, Work
 from estimators.models.base import Bound
-from estimators.native import joined, loaded, passed, same_integers
+from estimators.native import joined, loaded, passed, same_integers, supplied
 from estimators.records import Place, Sheet, blank_estimates, pack, pack_settings, unpack
 from estimators.run import Instance, begin, forget, process
 from estimators.types import MEASUREMENTS, Estimates, Samples, SensorInfo, Site
@@ -115,6 +115,7 @@ class FilterEstimator:
             "site": Place.from_site(self.site), "sensors": Sheet.from_info(self.sensors),
         }  # fmt: skip
         numbers = {"align_s": values["align_s"], "wait_s": values["wait_s"], "from_paper": int(paper), "begun": 0}
+        numbers["begin"] = supplied(begin, None, None, "run")
         return model, parts, joined(Instance, parts, numbers)
 
     def inner_parts(self, model: Bound) -> dict[str, Any]:

@@ -47,6 +47,7 @@ class Instance(Record):
     wait_s: Number  # s
     from_paper: Integer  # 1: no alignment
     begun: Integer  # 0: aligning
+    begin: Address
 
 
 INSTANCE = Instance.dtype
@@ -163,26 +164,34 @@ def _step(
     _report(method, model, carry, work, answer)
 
 
-@inner
-def _begin(own: Instance, still: bool) -> None:
+@entry("p")
+def begin(own: Instance) -> None:
     """Begin to estimate with what the alignment says."""
-    method, policy, model = record(own.method, METHOD), record(own.policy, POLICY), record(own.model, HANDLE)
-    carry, site, sensors = record(own.carry, CARRY), record(own.site, PLACE), record(own.sensors, SHEET)
-    alignment = record(own.alignment, ALIGNMENT)
-    conclude(record(own.stretch, STRETCH), still, site, sensors, alignment)
-    for i in range(CAPACITY):
-        carry.x[i] = carry.u[i] = carry.z[i] = 0.0
-        carry.used[i] = 0
-        for j in range(CAPACITY):
-            carry.P[i, j] = carry.P_restart[i, j] = 0.0
-    carry.clock = math.nan
-    begin_trust(carry.trust)
-    configure(policy, record(own.rules, RULES), site)
-    build(model, flags(own.settings), site, sensors, alignment, carry.x, carry.P, carry.P_restart)
-    if method.plain == 0:
-        store(method, model, carry.P)
-        store(method, model, carry.P_restart)
-    own.begun = 1
+
+
+@adapts(begin)
+def _adapt_begin(owner: None, kernel: Kernel) -> Kernel:
+    def body(pointer):  # type: ignore[no-untyped-def]
+        own = record(pointer, INSTANCE)
+        stretch, site, sensors = record(own.stretch, STRETCH), record(own.site, PLACE), record(own.sensors, SHEET)
+        method, policy, model = record(own.method, METHOD), record(own.policy, POLICY), record(own.model, HANDLE)
+        carry, alignment = record(own.carry, CARRY), record(own.alignment, ALIGNMENT)
+        conclude(stretch, stretch.phase == STILL, site, sensors, alignment)
+        for i in range(CAPACITY):
+            carry.x[i] = carry.u[i] = carry.z[i] = 0.0
+            carry.used[i] = 0
+            for j in range(CAPACITY):
+                carry.P[i, j] = carry.P_restart[i, j] = 0.0
+        carry.clock = math.nan
+        begin_trust(carry.trust)
+        configure(policy, record(own.rules, RULES), site)
+        build(model, flags(own.settings), site, sensors, alignment, carry.x, carry.P, carry.P_restart)
+        if method.plain == 0:
+            store(method, model, carry.P)
+            store(method, model, carry.P_restart)
+        own.begun = 1
+
+    return body
 
 
 @inner
@@ -190,7 +199,7 @@ def _forget(own: Instance) -> None:
     begin_stretch(record(own.stretch, STRETCH))
     own.begun = 0
     if own.from_paper != 0:
-        _begin(own, False)  # nothing to learn from the ground
+        begin(own)  # nothing to learn from the ground
 
 
 @inner
@@ -205,7 +214,7 @@ def _estimate(own: Instance, row: Sample, answer: Estimate) -> None:
         if not take(stretch, row, own.align_s, own.wait_s, gyro, accel, site.gravity):
             answer.t = row.t
             return
-        _begin(own, stretch.phase == STILL)
+        begin(own)
     method, policy, model = record(own.method, METHOD), record(own.policy, POLICY), record(own.model, HANDLE)
     _step(method, policy, model, carry, record(own.work, WORK), row, answer)
     if is_late(sensors):
@@ -221,19 +230,6 @@ def forget(own: Instance) -> None:
 def _adapt_forget(owner: None, kernel: Kernel) -> Kernel:
     def body(own):  # type: ignore[no-untyped-def]
         _forget(record(own, INSTANCE))
-
-    return body
-
-
-@entry("p")
-def begin(own: Instance) -> None:
-    """Begin without alignment."""
-
-
-@adapts(begin)
-def _adapt_begin(owner: None, kernel: Kernel) -> Kernel:
-    def body(own):  # type: ignore[no-untyped-def]
-        _begin(record(own, INSTANCE), False)
 
     return body
 

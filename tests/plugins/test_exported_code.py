@@ -53,6 +53,9 @@ def expected(method: str, **settings: Any) -> Any:
 def loaded(folder: Path, method: str) -> Any:
     """Build the exported library and give it the samples, twice: after `reset` it is as before."""
     subprocess.run(["make", "-s", "CFLAGS=-Werror -pedantic"], cwd=folder, check=True)
+    kernels = f"{method.replace('-', '_')}_kernels.o"
+    missing = subprocess.run(["nm", "-u", kernels], cwd=folder, check=True, capture_output=True, text=True).stdout
+    assert set(missing.split()) <= {"U", "memset"}
     library = LibraryEstimator(folder / f"lib{method.replace('-', '_')}.so", site=SITE, sensors=SENSORS)
     once = library.process(BLOCK)
     library.reset()
