@@ -46,7 +46,7 @@ def same(block: Any, other: Any) -> bool:
 
 def expected(method: str, **settings: Any) -> Any:
     made = estimators.create(method, site=SITE, sensors=SENSORS, **settings).process(BLOCK)
-    assert (made.status == estimators.Status.RUNNING).mean() > 0.3
+    assert (made.status != estimators.Status.ALIGNING).mean() > 0.3
     return made
 
 
