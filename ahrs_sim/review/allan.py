@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim.errors import InputError
+from ahrs_sim.log import messages
 from ahrs_sim.log.mcap.reader import stamps
 from ahrs_sim.sensors.grade import parse
 from ahrs_sim.sensors.suite import SECTIONS
@@ -267,6 +268,8 @@ def of_log(path: Path, topics: Sequence[str] = (), map_file: Path | None = None)
             fields = _SENSORS.get(kind)
             if fields is None:
                 raise InputError(f"{path}: {topic}: is a {kind}; give an Imu or MagneticField topic")
+            if why := messages.difference(kind, array.dtype):
+                raise InputError(f"{path}: {topic} is not a {kind} as it is known: {why}")
             unit = log.metadata.get(f"suite {topic.split('/')[1]}") if "/" in topic else None
             for field, sensor in fields.items():
                 values = np.column_stack([array[field][axis] for axis in "xyz"])
