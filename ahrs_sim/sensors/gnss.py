@@ -1,6 +1,7 @@
 """GNSS receiver: position and velocity of its antenna, delayed, at its own rate, while it has enough satellites.
 
-    position = antenna + wander (Gauss-Markov) + white,    velocity = antenna's velocity + wander + white
+    position = antenna + start-up exp(-t/T) + wander (Gauss-Markov) + white
+    velocity = antenna's velocity, lagging (first order), + d/dt of the start-up error + wander + white
     antenna  = CG + C_nb r,    its velocity = v + C_nb (w x r)
 
 Below four satellites a message has no fix and holds NaN; then the receiver takes a while to acquire them again.
@@ -13,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ahrs_sim.errors import InputError
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.jit import njit
 from ahrs_sim.sensors.faults import Faults
@@ -34,11 +36,15 @@ class GnssFigures:
 
     rate: float = figure("frequency", 5.0, minimum=0.01)
     latency: float = figure("time", minimum=0.0)
+    undeclared: float = figure("time", minimum=0.0)  # part of the latency that the stamps do not know of
+    velocity_lag: float = figure("time", minimum=0.0)  # time constant of the receiver's own filter of the velocity
     fix_type: float = figure("number", 0.0)  # NavSatStatus of a good fix: 0 single point, 1 SBAS, 2 RTK
     position_noise: np.ndarray = figure("length", size=3, minimum=0.0)  # 1 sigma, white
     position_wander: np.ndarray = figure("length", size=3, minimum=0.0)  # 1 sigma, Gauss-Markov
     velocity_noise: np.ndarray = figure("speed", size=3, minimum=0.0)
     velocity_wander: np.ndarray = figure("speed", size=3, minimum=0.0)
+    start_up: np.ndarray = figure("length", size=3, minimum=0.0)  # 1 sigma off at switch-on, until it has settled
+    start_up_time: float = figure("time", 60.0, minimum=1e-3)  # time constant of that
     wander_time: float = figure("time", 60.0, minimum=1e-3)  # correlation time
     antenna: np.ndarray = figure("length", size=3)  # from the inertial unit, FRD
     mask: float = figure("angle", math.radians(10.0))  # elevation above the horizon
@@ -110,6 +116,12 @@ class Gnss:
              gauss_markov(f.velocity_wander, f.wander_time, self.period, fitting.stream("gnss", "velocity wander"))),
         ]  # fmt: skip
         self.sigma = np.sqrt(f.position_noise**2 + f.position_wander**2)
+        self.start_up = fitting.normal("gnss", "start-up", 3) * f.start_up
+        self._lagging: np.ndarray | None = None  # m/s, the receiver's filtered velocity
+        if f.undeclared > f.latency:
+            raise InputError(
+                f"{fitting.where}: [gnss] undeclared: {f.undeclared:g} s is more than the latency of {f.latency:g} s"
+            )
         self._fixes = LatencyBuffer(FixRecord, self._position, f.latency)
         self._velocities = LatencyBuffer(VelocityRecord, self._velocity, f.latency)
 
@@ -123,8 +135,8 @@ class Gnss:
         }
 
     def drawn(self) -> dict[str, Any]:
-        """Return nothing: no error is drawn once a flight."""
-        return {}
+        """Return the truth of what was drawn, SI."""
+        return {"gnss.start_up": self.start_up} if self.start_up.any() else {}
 
     def sense(self, truth: Truth) -> dict[str, Record]:
         """Sense a block of the truth; return the records that arrive within it."""
@@ -143,19 +155,37 @@ class Gnss:
         antenna = self._imu.position + self.figures.antenna - truth.cg_b[rows]
         lla_deg, vel_n = np.empty((m, 3)), np.empty((m, 3))
         vel, rate = pick(truth.vel_n, rows), pick(truth.rate_ib_b, rows)
-        _antenna(lla, vel, q_nb, rate, antenna, *errors, lla_deg, vel_n)
+        if self.start_up.any():
+            left = np.exp(-t[:, None] / self.figures.start_up_time) * self.start_up
+            errors[0] = errors[0] + left
+            errors[1] = errors[1] - left / self.figures.start_up_time
+        _antenna(lla, vel, q_nb, rate, antenna, errors[0], np.zeros((m, 3)), lla_deg, vel_n)
+        vel_n = self._lag(vel_n) + errors[1]
         lost = ~self._lock.update(count)
         lla_deg[lost] = vel_n[lost] = np.nan
         sigma = np.where(lost[:, None], np.nan, self.sigma)
         fix = np.where(lost, -1, int(self.figures.fix_type)).astype(np.int8)
         self._position.send(t, lla_deg)
         self._velocity.send(t, vel_n)
-        ns = nanoseconds(t)
-        fixes = FixRecord(ns, ns, lla_deg, sigma, fix, count.astype(np.uint8))
+        stamp, ns = nanoseconds(t + self.figures.undeclared), nanoseconds(t)
+        fixes = FixRecord(stamp, ns, lla_deg, sigma, fix, count.astype(np.uint8))
         return {
             "fix": self._fixes.push(fixes, t, now),
-            "velocity": self._velocities.push(VelocityRecord(ns, ns, vel_n), t, now),
+            "velocity": self._velocities.push(VelocityRecord(stamp, ns, vel_n), t, now),
         }
+
+    def _lag(self, vel_n: np.ndarray) -> np.ndarray:
+        """Velocities (m, 3) behind the receiver's own first-order filter."""
+        if not self.figures.velocity_lag > 0.0:
+            return vel_n
+        keep = math.exp(-self.period / self.figures.velocity_lag)
+        state = vel_n[0] if self._lagging is None else self._lagging
+        out = np.empty_like(vel_n)
+        for k, now in enumerate(vel_n):
+            state = keep * state + (1.0 - keep) * now
+            out[k] = state
+        self._lagging = state
+        return out
 
 
 @njit

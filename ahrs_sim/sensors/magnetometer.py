@@ -5,6 +5,7 @@ filters know the model. Soft iron is the triad's matrix, hard iron its turn-on b
 current of the motor adds a field that grows with the throttle.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,6 +31,7 @@ class MagFigures(TriadFigures):
     rate: float = figure("frequency", 100.0, minimum=0.1)
     soft_iron: float = figure("fraction", minimum=0.0)  # 1 sigma of each term of the symmetric matrix
     motor_field: np.ndarray = figure("field", size=3, minimum=0.0)  # 1 sigma at full throttle
+    turned: float = figure("angle")  # about the down axis: put in the wrong way round, and nobody noticed
     model_error: np.ndarray = figure("field", size=3, minimum=0.0)  # 1 sigma of the real field from the model, NED
 
 
@@ -50,6 +52,8 @@ class Magnetometer:
         self.motor_field = fitting.normal("magnetometer", "motor field", 3) * f.motor_field
         iron = fitting.normal("magnetometer", "soft iron", 3, 3) * f.soft_iron
         self.triad.matrix[:] = np.einsum("ij,jk->ik", np.eye(3) + 0.5 * (iron + iron.T), self.triad.matrix)
+        c, s = math.cos(f.turned), math.sin(f.turned)
+        self.triad.matrix[:] = np.einsum("ij,jk->ik", self.triad.matrix, [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         self.model_error = fitting.world("magnetic field").standard_normal(3) * f.model_error
         self._buffer = LatencyBuffer(MagRecord, fitting.channel("magnetometer"), 0.0)
 

@@ -21,7 +21,7 @@ KEPT: dict[str, tuple[str, ...]] = {
     "accelerometer": ("range", "bandwidth", "antialias"),
     "motor": ("reference", "harmonics", "idle"),
     "magnetometer": ("rate", "range", "bandwidth", "antialias"),
-    "gnss": ("rate", "fix_type", "wander_time", "antenna", "mask", "shadow", "reacquisition"),
+    "gnss": ("rate", "fix_type", "wander_time", "start_up_time", "antenna", "mask", "shadow", "reacquisition"),
     "heading": ("rate", "baseline", "baseline_yaw", "wander_time", "wrong_fix_time", "reacquisition"),
     "air_data": ("rate", "diff_range", "wander_time", "vanes"),
     "interferometer": (

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from sensor_helpers import DT, EPOCH, START, fault, quaternion, run, same, suite, truth, wild
 
+from ahrs_sim.errors import InputError
 from ahrs_sim.world import satellites
 from ahrs_sim.world.wgs84 import offset_n
 
@@ -51,6 +52,31 @@ def test_the_airframe_hides_satellites_in_a_bank() -> None:
         mean.append(satellites.in_view(t, lla, q, math.radians(5), 0.0).mean())
     assert mean[0] > mean[1] + 0.5 > mean[2] + 1.0
     assert satellites.in_view(t[:0], lla[:0], lla[:0], 0.1, 0.0).shape == (0,)
+
+
+def test_what_real_receivers_do_and_do_not_say() -> None:
+    """A latency that the stamps do not know, a velocity that lags, a place that settles after switch-on."""
+    flight = wild(4000)
+    clean = {"antenna_m": [0.0, 0.0, 0.0], "latency_ms": 300.0, "rate_hz": 20.0}
+    known = run(suite("ideal", gnss=clean, **GNSS), flight)
+    late = run(suite("ideal", gnss={**clean, "undeclared_ms": 200.0}, **GNSS), flight)
+    np.testing.assert_array_equal(late["velocity"].vel_n, known["velocity"].vel_n)
+    np.testing.assert_array_equal(late["fix"].stamp_ns - known["fix"].stamp_ns, 200_000_000)
+    np.testing.assert_array_equal(late["fix"].arrival_ns, known["fix"].arrival_ns)
+    lagging = run(suite("ideal", gnss={**clean, "velocity_lag_ms": 100.0}, **GNSS), flight)["velocity"].vel_n
+    keep, state = math.exp(-0.05 / 0.1), known["velocity"].vel_n[0]
+    for was, now in zip(known["velocity"].vel_n, lagging, strict=True):
+        state = keep * state + (1.0 - keep) * was
+        np.testing.assert_allclose(now, state, atol=1e-12)
+    settling = suite("ideal", gnss={**clean, "start_up_m": 20.0, "start_up_time_s": 3.0}, **GNSS)
+    off = run(settling, flight)
+    metres = (off["fix"].lla_deg[:, 2] - known["fix"].lla_deg[:, 2]) * -1.0
+    t = off["fix"].stamp_ns * 1e-9
+    np.testing.assert_allclose(metres, settling.drawn()["gnss.start_up"][2] * np.exp(-t / 3.0), atol=1e-5)
+    rate = off["velocity"].vel_n[:, 2] - known["velocity"].vel_n[:, 2]
+    np.testing.assert_allclose(rate, -metres / 3.0, atol=1e-5)
+    with pytest.raises(InputError, match="more than the latency"):
+        suite("ideal", gnss={"latency_ms": 50.0, "undeclared_ms": 100.0}, **GNSS)
 
 
 def test_antenna_lever_arm_and_velocity() -> None:

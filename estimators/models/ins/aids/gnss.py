@@ -1,4 +1,10 @@
-"""GNSS velocity and position, differenced with the state kept from the time of the fix (latency)."""
+"""GNSS velocity and position, differenced with the state kept from the time of the fix (latency).
+
+A delay that the stamps do not know of is learnt beside the filter. A velocity that is `late` s older than it says is
+off by -a late, a the acceleration; the delay is the scalar estimate of that from each fix, its variance bounded below
+so that it goes on learning while the filter's own velocity gives way to the same error. It is taken out from
+`SURELY_LATE` on.
+"""
 
 import math
 from typing import Any
@@ -17,12 +23,17 @@ from estimators.settings import Setting
 
 NAME = READS_AS = "gnss"
 ANGLE, REPORTED = False, True
+SPAN = 0.1  # s, over which the acceleration is taken
+LATEST, LEAST_LATE = 0.6, 0.005  # s, the longest delay, and the least sigma of it
+MANOEUVRE = 1.0  # m/s2, the least acceleration that shows a delay
+SURELY_LATE = 0.08  # s: less may be a bias of the accelerometer, which a turn cannot tell from a delay
 UP = 1.5  # satellites are all above: vertical errors are larger by about that
 
 SETTINGS = {
     "velocity_share": Setting(1.0, "of the receiver's velocity sigma", above=0.0),
     "position_share": Setting(0.2, "of the receiver's position sigma, noise from fix to fix", above=0.0),
     "position_time": Setting(60.0, "s, over which the rest of a fix's error wanders", above=0.0),
+    "late_sigma": Setting(0.2, "s, of a fix's delay that is not declared: learnt; 0: there is none", minimum=0.0),
     "gnss_time": Setting(0.02, "s, error of the time of a fix: noise while accelerating", minimum=0.0),
 }
 
@@ -34,12 +45,14 @@ class Parameters(Record):
     velocity: Number  # m/s
     position: Number  # m, from fix to fix
     time2: Number  # s2, of the time of a fix
+    late2: Number  # s2, prior variance of a delay that is not declared
 
 
 class Memory(Record):
-    """Nothing of its own."""
+    """The delay that is not declared; NaN: no fix yet."""
 
-    nothing: Number
+    late: Number  # s
+    late2: Number  # s2, its variance
 
 
 class Readings(Record):
@@ -56,6 +69,7 @@ def configure(settings: Any, site: Place, sensors: Sheet, own: Parameters) -> No
     own.velocity = max(settings.velocity_share * sensors.gnss_vel, 1e-3)
     own.position = max(settings.position_share * sensors.gnss_pos, 1e-3)
     own.time2 = settings.gnss_time**2
+    own.late2 = settings.late_sigma**2
 
 
 def reads(states: int) -> tuple[int, int]:
@@ -72,8 +86,14 @@ def measure(
     if not (own.fitted and row.gnss_new):
         return
     then, there, here = local(7), local(3), local(3)
-    if not recall(memory.ring, row.gnss_t, RING_ANGLES, then):
+    if math.isnan(kept.late):
+        kept.late, kept.late2 = 0.0, own.late2
+    taken = kept.late if kept.late > SURELY_LATE else 0.0
+    true_t = row.gnss_t - taken
+    if not recall(memory.ring, true_t, RING_ANGLES, then):
         return
+    if own.late2 > 0.0:
+        learn_delay(own, memory, row, taken, then, kept)
     accelerating2 = acceleration2(model, x, u)
     apart(row.lla, then[3:6], there)
     apart(x.lla, model.origin, here)
@@ -93,6 +113,30 @@ def measure(
         v = row.vel_n
         memory.speed = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
         memory.aid_t = memory.fix_t = row.t
+
+
+@inner
+def learn_delay(own: Parameters, memory: Kept, row: Sample, taken: float, then: np.ndarray, kept: Memory) -> None:
+    """Improve the delay by what a velocity is off along the acceleration of its time."""
+    before = local(7)
+    if not recall(memory.ring, row.gnss_t - taken - SPAN, RING_ANGLES, before):
+        return
+    information, along, square = 0.0, 0.0, 0.0  # of what the delay is beyond its estimate
+    for i in range(3):
+        wide = UP if i == 2 else 1.0
+        a = (then[i] - before[i]) / SPAN
+        variance = 4.0 * (wide * own.velocity) ** 2  # the filter's own error with it
+        if not plausible(row.vel_n[i], MAX_SPEED):
+            return
+        square += a * a
+        information += a * a / variance
+        along -= a * (row.vel_n[i] - then[i]) / variance
+    if square < MANOEUVRE**2:
+        return
+    along += (taken - kept.late) * information
+    late2 = kept.late2 / (1.0 + kept.late2 * information)
+    kept.late = min(max(kept.late + late2 * along, 0.0), LATEST)
+    kept.late2 = max(late2, min(LEAST_LATE**2, own.late2))
 
 
 @inner
