@@ -31,6 +31,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils, registry
 from numba.core.imputils import lower_builtin
+from numba.core.runtime import rtsys
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.np.arrayobj import populate_array
 
@@ -468,7 +469,9 @@ def compiled(name: str, function: Callable[..., Any], arguments: str, returns: A
         arguments: a letter each: `p` pointer, `i` int64, `f` float64.
         returns: None, bool, int or float.
     """
-    codegen = registry.cpu_target.target_context.codegen()
+    context = registry.cpu_target.target_context
+    rtsys.initialize(context)  # what is loaded may name its symbols, and nothing may have been compiled before
+    codegen = context.codegen()
     path = FOLDER / f"{name}.{hashlib.sha256(repr(codegen.magic_tuple()).encode()).hexdigest()[:12]}.kernel"
     try:
         symbol, state = pickle.loads(path.read_bytes())
