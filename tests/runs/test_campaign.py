@@ -263,7 +263,7 @@ def test_a_run_that_fails_is_recorded_and_stops_nothing(tmp_path: Path) -> None:
 
 
 def _die_once(run: Run) -> Outcome:
-    """Stands in for `runs.fly`: some runs kill their worker, one of them every time."""
+    """Do nothing, but some runs kill their worker, one of them every time."""
     flag = Path(str(run.data["folder"])) / f"{run.key}"
     if run.key == 3 or (run.key in (1, 5) and not flag.exists()):
         flag.touch()
@@ -271,10 +271,10 @@ def _die_once(run: Run) -> Outcome:
     return Outcome(run.key)
 
 
-def test_dead_workers_take_no_run_with_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runs, "fly", _die_once)
+def test_dead_workers_take_no_run_with_them(tmp_path: Path) -> None:
     with runs.local_pool(2) as pool:
-        outcomes = list(runs.fly_all(pool, (Run(k, "", "", {"folder": str(tmp_path)}) for k in range(8))))
+        made = (Run(k, "", "", {"folder": str(tmp_path)}) for k in range(8))
+        outcomes = list(runs.fly_all(pool, made, task=_die_once))
     assert sorted(o.key for o in outcomes) == list(range(8))
     assert [o.key for o in outcomes if o.error] == [3]
 
