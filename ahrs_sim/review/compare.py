@@ -3,6 +3,7 @@
 import csv as csv_form
 import io
 import math
+import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -273,7 +274,7 @@ def table(result: dict[str, Any], *, details: bool = False, reasons: Sequence[st
     if steep := max((values.get("steep", 0.0) for values in rows.values()), default=0.0):
         print(f"roll and heading leave out {100 * steep:.1f} %: nose within 6 deg of the vertical", file=out)
     for line in _reasons(result) if reasons is None else reasons:
-        print(line, file=out)
+        print(textwrap.fill(line, 80, subsequent_indent="  ", break_on_hyphens=False), file=out)
     if "paired" in result:
         print(file=out)
         _paired(result["paired"], [name for name in rows if name != result["paired"]["against"]], width, details, out)

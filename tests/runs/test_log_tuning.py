@@ -23,7 +23,7 @@ PERFECT = SensorInfo(
 WHITE = {
     "heading_aid": False, "scale_share": 0.0, "force_share": 0.0, "turn_share": 0.0, "accel_share": 0.0,
     "jerk_share": 0.0, "shake_share": 0.0, "gnss_time": 0.0, "position_share": 0.5, "mag_sigma": 0.02,
-    "mag_share": 0.0, "norm_scale": 1e3, "dip_scale": 1e3,
+    "mag_share": 0.0, "norm_scale": 1e3, "dip_scale": 1e3, "late_sigma": 0.0,
 }  # fmt: skip
 GYRO, ACCEL, VELOCITY = 0.01, 0.5, 0.1  # rad/s/sqrt(Hz), m/s2/sqrt(Hz), m/s
 
