@@ -31,7 +31,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils, registry
 from numba.core.imputils import lower_builtin
-from numba.core.runtime import rtsys
+from numba.core.runtime.nrt import rtsys
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.np.arrayobj import populate_array
 
