@@ -84,7 +84,7 @@ def test_settings_go_with_it_and_the_example_runs(tmp_path: Path, capsys: pytest
     assert same(loaded(folder, "marg-ckf"), expected("marg-ckf", aiding="airspeed", adaptation="magnetic"))
     subprocess.run(["make", "-s", "example"], cwd=folder, check=True)
     printed = subprocess.run(["./example"], cwd=folder, check=True, capture_output=True, text=True).stdout
-    assert printed.startswith("status 1, q_nb 1.0000")
+    assert printed.startswith("status 2, q_nb 1.0000")  # coasting: the example has no airspeed
     assert "aiding = airspeed" in (folder / "README.md").read_text()
 
 

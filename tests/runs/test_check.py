@@ -201,12 +201,12 @@ FAULTS: dict[str, list[tuple[str, str, str, str]]] = {  # one in a model, and th
         (INS9, "H[i, j] = 1.0 if j == 3 + i else 0.0", "H[i, j] = -1.0 if j == 3 + i else 0.0", "ins9-ekf"),
     ],
     "noise 3 x off": [
-        (MARG, '["accel_sigma"] ** 2 * np.eye(3)', '["accel_sigma"] ** 2 * 9.0 * np.eye(3)', "marg-ckf"),
+        (MARG, "settings.accel_sigma**2,", "settings.accel_sigma**2 * 9.0,", "marg-ckf"),
         # None in the navigator: three times any of its noises moves the tilt by less than the tolerance (3 to 9 % on
         # three seeds), so that the suite cannot tell.
-        (ERROR, "gyro_psd=0.5 * max(", "gyro_psd=4.5 * max(", "fakf"),
-        (TILT, 'settings["accel_sigma"] ** 2,', 'settings["accel_sigma"] ** 2 * 9.0,', "sekf"),
-        (INS9, '(settings["velocity_share"]', '(3.0 * settings["velocity_share"]', "ins9-ekf"),
+        (ERROR, "gyro_psd = 0.5 * max(", "gyro_psd = 4.5 * max(", "fakf"),
+        (TILT, "= settings.accel_sigma**2", "= settings.accel_sigma**2 * 9.0", "sekf"),
+        (INS9, "(settings.velocity_share", "(3.0 * settings.velocity_share", "ins9-ekf"),
     ],
     "lost bias": [
         (MARG, "y[i] = w[i] + x.gyro_bias[i]", "y[i] = w[i]", "marg-cdkf"),
