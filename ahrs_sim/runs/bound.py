@@ -36,6 +36,7 @@ from ahrs_sim.sensors.magnetometer import MagFigures
 from ahrs_sim.sensors.noise import ALLAN_FLOOR, FLICKER_SIGMA, FLICKER_TIMES
 from ahrs_sim.sensors.triad import GyroFigures, InertialFigures
 from ahrs_sim.sensors.vibration import MotorFigures
+from ahrs_sim.world.gravity import STANDARD
 from estimators.types import Site
 
 STEP_S = 0.1
@@ -201,7 +202,7 @@ class Recursion:
             mean = C.mean(axis=0)
             self._inertial(A[PHI : PHI + 3], "gyro", mean, np.einsum("nai,nj->aij", C, w) / len(C), warmth)
             if "gyro g" in m.at:
-                A[PHI : PHI + 3, m.at["gyro g"]] = -_flat(np.einsum("nai,nj->aij", C, f) / len(C)) / 9.80665
+                A[PHI : PHI + 3, m.at["gyro g"]] = -_flat(np.einsum("nai,nj->aij", C, f) / len(C)) / STANDARD
             self._inertial(A[VEL : VEL + 3], "accel", mean, np.einsum("nai,nj->aij", C, f) / len(C), warmth)
             A[VEL : VEL + 3, PHI : PHI + 3] = -cross(np.einsum("nai,ni->a", C, f) / len(C))
             shake = self._shake(truth)
@@ -279,7 +280,7 @@ class Recursion:
             rate = np.zeros(3)
             self._inertial(H, name, -np.eye(3), -_outer(np.eye(3), rate if k == 0 else force), warmth)
             if k == 0 and "gyro g" in m.at:
-                H[:, m.at["gyro g"]] = _flat(_outer(np.eye(3), force)) / 9.80665
+                H[:, m.at["gyro g"]] = _flat(_outer(np.eye(3), force)) / STANDARD
             if k == 1:  # f = C_bn exp(-phi) (-g)
                 H[:, PHI : PHI + 3] = C.T @ cross(np.array([0.0, 0.0, -self.place.gravity]))
             variance = (_white(figures) + shake[k]) / STEP_S
