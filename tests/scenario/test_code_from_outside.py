@@ -110,6 +110,15 @@ def test_replay_runs_nothing_that_a_log_names(
         allowed([*command, "--estimator", "stranger:Estimator@chr"], stranger, capsys)
 
 
+def test_tuning_runs_nothing_that_a_log_names(
+    log: Path, stranger: Callable[[], bool], capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("theirs", "ekf-chr", "ins21@chr"):
+        cli.main(["tune", str(log), "--estimator", name])
+        assert not stranger(), name
+    assert "--allow-code stranger:" in refused(["tune", str(log), "--estimator", "theirs"], stranger, capsys)
+
+
 def test_other_commands_run_nothing_that_a_log_names(
     log: Path, tmp_path: Path, stranger: Callable[[], bool], capsys: pytest.CaptureFixture[str]
 ) -> None:
