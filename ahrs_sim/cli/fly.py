@@ -35,11 +35,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     )
     command.add_argument("--from", dest="campaign", metavar="DIR", help="instead of a scenario: a run of this campaign")
     command.add_argument("--run", dest="number", type=natural, metavar="N", help="with --from: which run")
-    command.add_argument("-o", "--output", type=Path, metavar="LOG", help="default: logs/SCENARIO-seedN.mcap")
-    command.add_argument("--seed", type=natural, metavar="N", help="instead of the scenario's")
-    add_estimators(command, "only this one, or METHOD@SUITE; may be repeated")
-    add_code(command)
-    command.add_argument("--duration", type=positive, metavar="S", help="stop after S seconds")
+    add_flight(command, "only this one, or METHOD@SUITE; may be repeated")
     command.add_argument("--pilot", metavar="NAME", help="fly on the attitude of this estimator, or on the truth")
     command.add_argument("--force", action="store_true", help="replace an existing log")
     command.add_argument(
@@ -58,6 +54,15 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument("--quiet", action="store_true", help="print nothing but errors")
     add_live(command)
     return command
+
+
+def add_flight(command: argparse.ArgumentParser, estimators: str) -> None:
+    """Add where a flight goes, and what replaces values of its scenario; `estimators` is the help of --estimator."""
+    command.add_argument("-o", "--output", type=Path, metavar="LOG", help="default: logs/SCENARIO-seedN.mcap")
+    command.add_argument("--seed", type=natural, metavar="N", help="instead of the scenario's")
+    add_estimators(command, estimators)
+    add_code(command)
+    command.add_argument("--duration", type=positive, metavar="S", help="stop after S seconds")
 
 
 def run(arguments: argparse.Namespace) -> None:

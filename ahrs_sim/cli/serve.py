@@ -4,11 +4,10 @@ import argparse
 import re
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ahrs_sim.cli import fly
-from ahrs_sim.cli.common import Commands, add_code, add_estimators, natural, positive
+from ahrs_sim.cli.common import Commands, natural, positive
 from ahrs_sim.errors import InputError, nearest
 
 if TYPE_CHECKING:
@@ -30,11 +29,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument("--mavlink", type=natural, metavar="N", help="where its attitude comes from (14540; 5760)")
     command.add_argument("--suite", metavar="NAME", help="whose sensors the unit sees (default: the scenario's first)")
     command.add_argument("--name", help="in log and table (default: unit, px4 or ardupilot)")
-    command.add_argument("-o", "--output", type=Path, metavar="LOG", help="default: logs/SCENARIO-seedN.mcap")
-    command.add_argument("--seed", type=natural, metavar="N", help="instead of the scenario's")
-    add_estimators(command, "fly along: only this one, or METHOD@SUITE; may be repeated")
-    add_code(command)
-    command.add_argument("--duration", type=positive, metavar="S", help="stop after S seconds")
+    fly.add_flight(command, "fly along: only this one, or METHOD@SUITE; may be repeated")
     command.add_argument("--force", action="store_true", help="replace an existing log")
     command.add_argument("--all", action="store_true", help="print 95th percentiles and maxima of every angle, too")
     command.add_argument("--json", action="store_true", help="print the accuracy as JSON")
