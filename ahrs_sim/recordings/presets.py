@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ahrs_sim.errors import InputError, nearest
-from ahrs_sim.scenario.table import Table, read_toml
+from ahrs_sim.scenario.table import Table, overlay, read_toml
 
 PREFIX = "preset:"
 _FOLDER = Path(__file__).parent / "maps"
@@ -34,7 +34,7 @@ def read(path: Path) -> Table:
         return table
     base = _preset(table.text("preset"), f"{table.where}: preset")
     own = {k: v for k, v in table.data.items() if k != "preset"}
-    return Table(_merged(base.data, own), table.where)
+    return Table(overlay(base.data, own), table.where)
 
 
 def fitting(path: Path) -> str | None:
@@ -56,15 +56,6 @@ def _preset(name: str, where: str) -> Table:
     if name not in names():
         raise InputError(f"{where}: no map 'preset:{name}'{nearest(name, names())}")
     return Table(read_toml(_file(name)).data, f"{PREFIX}{name}")
-
-
-def _merged(base: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
-    """Overlay the tables of `base` with those of `own`."""
-    out = dict(base)
-    for key, value in own.items():
-        both = isinstance(value, dict) and isinstance(out.get(key), dict)
-        out[key] = _merged(out[key], value) if both else value
-    return out
 
 
 def _fits(path: Path, csv: Mapping[str, Any]) -> bool:

@@ -47,7 +47,7 @@ from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.evaluation.metrics import MEASURES, STATISTICS
 from ahrs_sim.runs import campaign
 from ahrs_sim.runs.pool import Pool, Span
-from ahrs_sim.scenario.table import Table, read_toml
+from ahrs_sim.scenario.table import Table, overlay, read_toml
 
 SHIPPED = "certification.toml"
 FIGURES = tuple(f"{m}_{s}_deg" for m in MEASURES for s in STATISTICS) + tuple(f"turn_rate_{s}_dps" for s in STATISTICS)
@@ -147,7 +147,7 @@ def load(path: str | None = None) -> Standard:
     shipped = Path(str(resources.files("ahrs_sim.runs") / SHIPPED))
     data = read_toml(shipped).data
     if path is not None:
-        data = _laid(data, read_toml(Path(path)).data)
+        data = overlay(data, read_toml(Path(path)).data)
     table = Table(data, path or str(shipped))
     flights = {name: t.data for name, t in table.named_tables("flight").items()}
     rows = {name: _row(name, t, flights) for name, t in table.named_tables("row").items()}
@@ -167,15 +167,6 @@ def load(path: str | None = None) -> Standard:
     if not requirements:
         raise table.error("requirement", "missing; add [[requirement]] tables")
     return standard
-
-
-def _laid(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Tables merged key by key, everything else replaced."""
-    merged = dict(below)
-    for key, value in above.items():
-        both = isinstance(value, dict) and isinstance(below.get(key), dict)
-        merged[key] = _laid(below[key], value) if both else value
-    return merged
 
 
 def _row(name: str, table: Table, flights: Mapping[str, Any]) -> Row:
@@ -261,7 +252,7 @@ def plans(
 
 
 def _scenario(standard: Standard, name: str, chosen: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    data = _laid(standard.common, copy.deepcopy(dict(standard.flights[name])))
+    data = overlay(standard.common, copy.deepcopy(dict(standard.flights[name])))
     figures = data.pop("figures", {})
     if not isinstance(figures, dict):
         raise InputError(f"{standard.where}: [flight.{name}]: figures: is not a table; write [flight.{name}.figures]")
@@ -269,7 +260,7 @@ def _scenario(standard: Standard, name: str, chosen: Mapping[str, Mapping[str, A
     for estimator, settings in chosen.items():
         grade = str(settings["suite"])
         suite = _slug(grade)
-        suites[suite] = _laid(standard.suites.get(grade, {"grade": grade}), figures)
+        suites[suite] = overlay(standard.suites.get(grade, {"grade": grade}), figures)
         tables[estimator] = {**settings, "suite": suite}
     return data | {"suite": suites, "estimator": tables}
 

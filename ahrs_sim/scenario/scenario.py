@@ -17,7 +17,7 @@ from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.scenario.code import ANY, Gate, named
 from ahrs_sim.scenario.component import Component, estimator_component
 from ahrs_sim.scenario.shipped import scenario_dir
-from ahrs_sim.scenario.table import MAX_DEPTH, Table, is_file, read_toml
+from ahrs_sim.scenario.table import MAX_DEPTH, Table, is_file, overlay, read_toml
 
 TURBULENCE = {"none": 0.0, "light": 7.62, "moderate": 15.24, "severe": 22.86}
 """Severity -> wind speed at 20 ft above ground in m/s (25, 50, 75 ft/s; MIL-F-8785C, section 3.7.3)."""
@@ -279,7 +279,7 @@ def _merged(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
         raise table.error("extends", f"'{parent}' leads back to this file; break the circle")
     if len(seen) == MAX_DEPTH:
         raise table.error("extends", f"goes through more than {MAX_DEPTH} files; extend one of them directly")
-    return _chosen(_overlay(_merged(base, (*seen, path)), data), str(path))
+    return _chosen(overlay(_merged(base, (*seen, path)), data), str(path))
 
 
 def _chosen(data: dict[str, Any], where: str) -> dict[str, Any]:
@@ -290,14 +290,6 @@ def _chosen(data: dict[str, Any], where: str) -> dict[str, Any]:
     tables = data.get("estimator", copy.deepcopy(DEFAULT_ESTIMATORS))
     rest = {k: v for k, v in data.items() if k != "estimators"}
     return {**rest, "estimator": _selected(tables, names, f"{where}: estimators")} if isinstance(tables, dict) else rest
-
-
-def _overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
-    merged = dict(base)
-    for key, value in top.items():
-        both = isinstance(value, dict) and isinstance(base.get(key), dict)
-        merged[key] = _overlay(base[key], value) if both else value
-    return merged
 
 
 def _selected(tables: dict[str, Any], names: Sequence[str], where: str) -> dict[str, Any]:

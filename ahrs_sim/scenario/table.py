@@ -11,7 +11,7 @@ import contextlib
 import datetime
 import math
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -265,6 +265,15 @@ def _fitting(asked: Key) -> Any:
     return {"flag": True, "text": "x", "texts": [], "date": datetime.datetime(2026, 6, 1, tzinfo=datetime.UTC)}.get(
         asked.form, asked.choices[0] if asked.choices else "x"
     )
+
+
+def overlay(base: Mapping[str, Any], top: Mapping[str, Any]) -> dict[str, Any]:
+    """Lay a table over another: tables are merged key by key, everything else is replaced."""
+    merged = dict(base)
+    for key, value in top.items():
+        both = isinstance(value, dict) and isinstance(base.get(key), dict)
+        merged[key] = overlay(base[key], value) if both else value
+    return merged
 
 
 def is_file(path: Path) -> bool:
