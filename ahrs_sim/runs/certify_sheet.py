@@ -9,6 +9,7 @@ from typing import Any
 
 from ahrs_sim.runs import campaign
 from ahrs_sim.runs.certify import MET, NOT_MET, Finding, Sheet, Standard
+from ahrs_sim.runs.junit import Case, document
 from ahrs_sim.runs.pool import Pool, fly_all
 
 Links = Mapping[tuple[str, int], str]
@@ -147,21 +148,13 @@ def as_json(standard: Standard, sheets: Sequence[Sheet]) -> dict[str, Any]:
 
 def junit(sheets: Sequence[Sheet]) -> str:
     """Format sheets for CI systems: a test case a row and figure; what is not shown to be met fails."""
-    from xml.etree import ElementTree as Xml
-
-    suite = Xml.Element("testsuite", name="ahrs-sim certify")
-    cases = [(s.estimator, f) for s in sheets for f in s.findings]
-    for estimator, finding in cases:
-        r = finding.requirement
-        case = Xml.SubElement(suite, "testcase", classname=estimator, name=f"{r.row.name}.{r.figure}")
-        if finding.result != MET:
-            Xml.SubElement(case, "failure", message="  ".join(_cells(finding)))
-    errors = sheets[0].errors if sheets else {}
-    for where, error in errors.items():
-        Xml.SubElement(Xml.SubElement(suite, "testcase", classname="flight", name=where), "failure", message=error)
-    suite.set("tests", str(len(cases) + len(errors)))
-    suite.set("failures", str(sum(f.result != MET for _, f in cases) + len(errors)))
-    return Xml.tostring(suite, encoding="unicode", xml_declaration=True) + "\n"
+    cases = []
+    for sheet in sheets:
+        for finding in sheet.findings:
+            r = finding.requirement
+            failure = None if finding.result == MET else "  ".join(_cells(finding))
+            cases.append(Case(sheet.estimator, f"{r.row.name}.{r.figure}", failure))
+    return document("ahrs-sim certify", cases, sheets[0].errors if sheets else {})
 
 
 # ----------------------------------------------------------------------------------------------- page with links

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from ahrs_sim.runs.check import BETTER, GONE, NEW, SAME, WORSE, Result, Row
+from ahrs_sim.runs.junit import Case, document
 
 _HEADS = ("flight", "estimator", "phase.axis", "baseline", "now", "change", "95 %", "tolerance", "result")
 
@@ -112,23 +113,12 @@ def as_json(result: Result) -> dict[str, Any]:
 
 def junit(result: Result) -> str:
     """Format the result for CI systems: a test case a flight and estimator, and one a failed flight."""
-    from xml.etree import ElementTree as Xml
-
-    suite = Xml.Element("testsuite", name=f"ahrs-sim check {result.suite}")
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in result.rows:
         groups.setdefault((row.flight, row.estimator), []).append(row)
-    failures = 0
+    cases = []
     for (flight, estimator), rows in groups.items():
-        case = Xml.SubElement(suite, "testcase", classname=flight, name=estimator)
         bad = [row for row in rows if row.result in (WORSE, GONE)]
-        if bad:
-            failures += 1
-            failure = Xml.SubElement(case, "failure", message=f"{len(bad)} figures worse")
-            failure.text = "\n".join("  ".join(_cells(row)) for row in bad)
-    for where, error in result.errors.items():
-        failures += 1
-        Xml.SubElement(Xml.SubElement(suite, "testcase", classname="flight", name=where), "failure", message=error)
-    suite.set("tests", str(len(groups) + len(result.errors)))
-    suite.set("failures", str(failures))
-    return Xml.tostring(suite, encoding="unicode", xml_declaration=True) + "\n"
+        failure = (f"{len(bad)} figures worse", "\n".join("  ".join(_cells(row)) for row in bad)) if bad else ()
+        cases.append(Case(flight, estimator, *failure))
+    return document(f"ahrs-sim check {result.suite}", cases, result.errors)
