@@ -82,7 +82,7 @@ class AirspeedAid:
 
 
 class Peer:
-    """What the peers share: settings, missing rows, frames. One row of `Estimates` for each of `Samples`."""
+    """Base class of the peers: settings, missing rows, frames; one row of `Estimates` for each row of `Samples`."""
 
     NAME: ClassVar[str]
     PACKAGE: ClassVar[str]

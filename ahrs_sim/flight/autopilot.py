@@ -15,7 +15,7 @@ def wrap(angle: float) -> float:
 
 
 class State:
-    """What the pilot knows at one moment; SI, radians. Position is relative to where the flight started."""
+    """Holds the state of the aircraft at one moment; SI, radians, position relative to the start of the flight."""
 
     __slots__ = (
         "airspeed", "altitude", "climb", "course", "east", "ground_speed", "heading", "height", "home", "home_heading",

@@ -56,7 +56,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Design:
-    """All that the autopilot and the pilot know of an aircraft."""
+    """Holds an aircraft's trim points, gains and limits, as the autopilot and the pilot use them."""
 
     name: str
     digest: str  # of the aircraft's files and of how they were analysed

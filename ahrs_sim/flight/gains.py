@@ -31,7 +31,7 @@ Model = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Margins:
-    """Of one loop, broken at its control."""
+    """Holds the stability margins of one loop, opened at its control."""
 
     gain_db: float
     phase_deg: float

@@ -53,7 +53,7 @@ class _Now(NamedTuple):
 
 
 class _Air(NamedTuple):
-    """What the air data and the wheels say."""
+    """Holds air data and weight on wheels of one step."""
 
     calibrated: float  # m/s
     true: float  # m/s, not below LEAST_SPEED

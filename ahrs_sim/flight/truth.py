@@ -9,7 +9,7 @@ from estimators.types import Columns, column
 
 @dataclass(frozen=True, slots=True)
 class Truth(Columns):
-    """What really happened, at the centre of gravity, all columns valid at the same instant `t`."""
+    """Holds the true motion of the centre of gravity; all columns of a row are valid at the same instant `t`."""
 
     t: np.ndarray = column()  # (n,) s since the scenario's epoch
     lla: np.ndarray = column(3)  # (n, 3) geodetic latitude rad, longitude rad, ellipsoidal height m (WGS84)
@@ -33,7 +33,7 @@ class Truth(Columns):
 
 @dataclass(frozen=True, slots=True)
 class Setpoints(Columns):
-    """What the pilot asks of the autopilot, and where the surfaces are: one row per pilot step (NaN: not in use)."""
+    """Holds commands and positions of the control surfaces: one row per pilot step (NaN: not in use)."""
 
     t: np.ndarray = column()  # (n,) s
     step: np.ndarray = column(dtype=np.int32)  # (n,) number of the scenario's step, from 0

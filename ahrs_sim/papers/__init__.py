@@ -35,7 +35,7 @@ _WIDTH = 118
 
 
 class Outcome(StrEnum):
-    """What became of a claim."""
+    """Names the result of testing a claim."""
 
     REPRODUCED = "reproduced"
     BETTER = "better"
@@ -58,7 +58,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Reproduction:
-    """All claims of one paper."""
+    """Holds all claims of one paper with their results."""
 
     name: str
     title: str

@@ -32,7 +32,7 @@ class Flown:
 
 @dataclass(frozen=True)
 class Measured:
-    """What a suite has sent of it."""
+    """Holds the sensor messages of one suite."""
 
     flown: Flown
     samples: Samples

@@ -35,7 +35,7 @@ _REFERENCE = (
     "What the filters differ by from it is therefore no measure of their error."
 )
 _ENGINE = (
-    'The paper takes R "in the ground start-up state" (地面启动状态), by its words with the engine running. Then R has '
+    """Holds how one filter recovered from a wrong initial heading, standing; one value per run."""
     "the engine's vibration in it, of which it prints nothing: here so much in the accelerometer's R, all else from "
     "the ground. The size of the error hangs on it; that the three filters err alike does not."
 )
@@ -116,7 +116,7 @@ def seconds(unit: Measured, repeats: int) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class FromFar:
-    """How one filter came back from a wrong heading, standing; a value a run."""
+    """Holds how one filter recovered from a wrong initial heading at standstill; one value per run."""
 
     first: np.ndarray  # s, until it is within 5 deg for the first time; inf: never
     last: np.ndarray  # s, for good

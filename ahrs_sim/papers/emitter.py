@@ -222,7 +222,7 @@ def _look(model: Emitter, target: np.ndarray, u: np.ndarray) -> tuple[np.ndarray
 
 @dataclass(frozen=True)
 class HeadingCost:
-    """What a heading error costs in emitter position, in the paper's experiment."""
+    """Holds the emitter position error that a heading error causes in the paper's experiment."""
 
     heading_deg: float  # RMS of the heading error
     rate_deg: float  # deg/s, RMS of the error of the yaw rate

@@ -17,7 +17,7 @@ NORM_TOLERANCE = 1e-3
 
 
 class Processes(Protocol):
-    """What an estimator needs to join: `process`."""
+    """Describes the one method that an estimator must have: `process`."""
 
     def process(self, samples: Samples) -> Estimates:
         """Return one row of estimates for each row of samples."""

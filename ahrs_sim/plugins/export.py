@@ -60,7 +60,7 @@ def parsed(known: Mapping[str, Setting], given: Iterable[str]) -> dict[str, Any]
 
 
 def suite_info(suite: str, scenario: str) -> SensorInfo:
-    """What the data sheets of a scenario's suite say.
+    """Return the data-sheet figures of a scenario's suite.
 
     Raises:
         InputError: no such scenario or suite.

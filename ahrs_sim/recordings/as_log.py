@@ -49,7 +49,7 @@ class RecordingLog:
 
     @property
     def size(self) -> int:
-        """Of the file, or of all files of a folder, bytes."""
+        """Return the size of a file, or of all files of a folder, in bytes."""
         files = [p for p in self.path.rglob("*") if p.is_file()] if self.path.is_dir() else [self.path]
         return sum(p.stat().st_size for p in files)
 

@@ -35,7 +35,7 @@ _AIDS = {"gnss": "GNSS velocity", "airspeed": "airspeed"}
 
 @dataclass(frozen=True)
 class Assumed:
-    """What is taken to be so."""
+    """Holds what the checks test: axes, field and delay that the map assumes."""
 
     body: str  # axes of the IMU's messages
     reference: tuple[str, str] | None  # body and world axes of the reference attitude, when there is one
@@ -232,7 +232,7 @@ def _field_unit(s: Survey, field_n: np.ndarray | None) -> list[str]:
 
 @dataclass(frozen=True)
 class Orientation:
-    """How a magnetometer sits against the gyro, of all signed permutations of axes."""
+    """Find the magnetometer's orientation relative to the gyro among the signed permutations of axes."""
 
     name: str
     matrix: np.ndarray  # (3, 3) takes its readings to those that fit

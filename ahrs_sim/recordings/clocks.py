@@ -38,7 +38,7 @@ _GREATEST_NS = 2**61  # no step is greater: a damaged stamp
 
 @dataclass
 class Clock:
-    """What to take off the times of a topic, ns."""
+    """Holds the offset to subtract from the times of a topic, ns."""
 
     at: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  # (m,) log times of steps
     header: np.ndarray = field(default_factory=lambda: np.zeros(1, np.int64))  # (m + 1,) before, between and after

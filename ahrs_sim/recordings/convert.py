@@ -71,7 +71,7 @@ _RECORDS: dict[str, type[Record]] = {
 
 @dataclass
 class Calibration:
-    """What is taken out of the sensors, in the axes of their messages."""
+    """Holds the sensor errors to remove, in the axes of the messages."""
 
     hard_iron: np.ndarray  # (3,) T
     soft_iron: np.ndarray  # (3, 3)

@@ -186,7 +186,7 @@ class Groups:
 
 @dataclass(frozen=True)
 class Track:
-    """What IMU and GNSS velocity say together."""
+    """Holds the motion as IMU and GNSS velocity agree on it."""
 
     windows: Windows
     which: np.ndarray  # (k,) windows that have a solution
@@ -359,7 +359,7 @@ class _Fit:
 
 @dataclass(frozen=True)
 class Course:
-    """How the field stands to that of the model, by the headings of GNSS and IMU."""
+    """Compares the measured field with the model's, turned by the heading of GNSS and IMU."""
 
     offset: float  # rad, to the right
     sigma: float

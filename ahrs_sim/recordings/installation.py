@@ -47,7 +47,7 @@ class Estimate:
 
 @dataclass
 class Installation:
-    """What was found, for the user and for a map."""
+    """Holds the installation found, as text for the user and as lines of a map."""
 
     lines: list[str] = field(default_factory=list)
     entries: dict[str, dict[str, str]] = field(default_factory=dict)  # key and value by table of a map

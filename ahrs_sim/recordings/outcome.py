@@ -38,7 +38,7 @@ _NAMES = {
 
 @dataclass
 class _Seen:
-    """What one estimator has given so far."""
+    """Collects what one estimator has reported so far."""
 
     measurements: Mapping[str, slice]
     from_ground: bool  # it takes its noise from the standing vehicle

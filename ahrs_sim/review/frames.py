@@ -55,7 +55,7 @@ class LogFrames(Mapping[str, pandas.DataFrame]):
         self.notes = tuple(notes)
 
     def __getitem__(self, topic: str) -> pandas.DataFrame:
-        """All messages of a topic.
+        """Return all messages of a topic as a frame.
 
         Raises:
             KeyError: no such topic.
@@ -105,7 +105,7 @@ class LogFrames(Mapping[str, pandas.DataFrame]):
 
     @property
     def events(self) -> pandas.DataFrame:
-        """What happened: columns level, name, text."""
+        """Return the events of the flight: columns level, name, text."""
         return self["/events"][["level", "name", "text"]]
 
     def truth(self) -> pandas.DataFrame:
@@ -201,7 +201,7 @@ def _with_units(frame: pandas.DataFrame, units: Mapping[Any, str]) -> pandas.Dat
 
 
 class AccuracyTable(Mapping[str, Any]):
-    """What `ahrs-sim compare --json` prints, as a mapping that shows itself as the table, as text and in a notebook."""
+    """Maps names to the figures of `ahrs-sim compare --json`; prints as the table, as text and in a notebook."""
 
     def __init__(self, result: Mapping[str, Any]) -> None:
         self._result = dict(result)

@@ -61,7 +61,7 @@ class Worst:
 
 @dataclass(frozen=True)
 class EstimatorTrace:
-    """What one estimator reported, beside the reference."""
+    """Holds the reports of one estimator beside the reference."""
 
     name: str
     suite: str

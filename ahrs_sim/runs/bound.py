@@ -136,7 +136,7 @@ class Model:
         self.added = (1.0 - self.keep**2) * self.sigma**2 + walk**2 * STEP_S
 
     def biases(self, sensor: str) -> list[slice]:
-        """Where the terms are whose sum is the bias of "gyro", "accel" or "mag"."""
+        """Return the indices of the terms whose sum is the bias of "gyro", "accel" or "mag"."""
         return [self.at[k] for k in self.at if k.startswith(f"{sensor} bias")]
 
 
@@ -344,7 +344,7 @@ def _flat(outer: np.ndarray) -> np.ndarray:
 
 
 def _heading_slope(C: np.ndarray) -> np.ndarray:
-    """How a rotation about navigation axes turns the forward axis of C_nb about the vertical."""
+    """Return the slope of heading by a rotation about navigation axes, for the forward axis of C_nb."""
     level2 = max(C[0, 0] ** 2 + C[1, 0] ** 2, 1e-6)
     return np.array([-C[2, 0] * C[0, 0] / level2, -C[2, 0] * C[1, 0] / level2, 1.0])
 

@@ -102,7 +102,7 @@ class Standard:
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found of one requirement."""
+    """Holds the result of one requirement."""
 
     requirement: Requirement
     values: np.ndarray  # (n,) deg, a flight each; inf: no attitude for long, or no such angle
@@ -114,13 +114,13 @@ class Finding:
 
     @property
     def margin(self) -> float:
-        """What is left to the limit, in deg: from the bound, or with too few flights from what was found."""
+        """Return the margin to the limit, deg: from the bound, or with too few flights from the measured figure."""
         return self.requirement.limit - (self.bound if math.isfinite(self.bound) else self.found)
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """What was found of one estimator."""
+    """Holds the results of one estimator for all requirements."""
 
     estimator: str
     method: str

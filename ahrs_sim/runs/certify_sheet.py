@@ -40,7 +40,7 @@ def summary(standard: Standard, sheet: Sheet) -> str:
 
 
 def _notes(standard: Standard, sheet: Sheet) -> Iterator[str]:
-    """What the columns mean, and where limits come from."""
+    """Write the notes under the sheet: meaning of the columns, source of the limits."""
     yield (
         f"found: {100 * standard.quantile:g} % quantile over {sheet.runs} flights, deg; bound: its upper bound with "
         f"{100 * standard.confidence:g} % confidence; margin: limit less bound (less found, without bound)"

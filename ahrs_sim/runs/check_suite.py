@@ -47,7 +47,7 @@ _FOREIGN = scenarios.Gate()
 
 @dataclass(frozen=True)
 class Tolerance:
-    """What is no change."""
+    """Sets how far a figure may move before it counts as changed."""
 
     relative: float
     degrees: float

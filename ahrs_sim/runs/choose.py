@@ -79,7 +79,7 @@ class Need:
 
 @dataclass(frozen=True)
 class Found:
-    """What one need turned out to be."""
+    """Holds the result of one need."""
 
     need: str
     limit: float  # deg

@@ -45,7 +45,7 @@ LIKELIHOOD, ERROR = "likelihood", "error"
 
 @dataclass(frozen=True)
 class Recorded:
-    """What an estimator is tuned on."""
+    """Holds the sensor stream that an estimator is tuned on."""
 
     samples: Samples
     site: Site
@@ -92,7 +92,7 @@ class Knob:
 
 @dataclass(frozen=True)
 class Score:
-    """What a pass of the filter is worth, by block; NaN where it says nothing."""
+    """Holds the score of one filter pass, by block; NaN where there is none."""
 
     cost: np.ndarray  # (blocks,) mean over the block: -2 log L a number, or squared error in deg2
     nis: np.ndarray  # (blocks,) mean NIS a number
@@ -100,7 +100,7 @@ class Score:
 
 @dataclass
 class Tuned:
-    """What a search has found."""
+    """Holds the result of a search."""
 
     method: str
     objective: str

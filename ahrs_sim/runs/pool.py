@@ -70,7 +70,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a run: figures by estimator, or an error."""
+    """Holds the result of a run: figures by estimator, or an error."""
 
     key: Any
     figures: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)

@@ -58,7 +58,7 @@ class Knob:
 
 @dataclass(frozen=True)
 class Tuned:
-    """What a search has found."""
+    """Holds the result of a search."""
 
     settings: dict[str, float]  # by ESTIMATOR.SETTING
     metric: str

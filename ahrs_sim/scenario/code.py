@@ -37,7 +37,7 @@ def named(estimators: Sequence[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Gate:
-    """What code from outside may run.
+    """Decides which code from outside may run.
 
     Attributes:
         allowed: `package`, `package.module` or `package.module:Class`; `ANY`: all.

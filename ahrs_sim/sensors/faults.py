@@ -173,7 +173,7 @@ class Channel:
 
 
 class Faults:
-    """All faults of one suite."""
+    """Holds all faults of one suite."""
 
     def __init__(self, faults: Sequence[Fault], suite: str) -> None:
         self.faults = list(faults)

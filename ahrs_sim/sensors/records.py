@@ -113,7 +113,7 @@ class AttitudeRecord(Record):
 
 @dataclass(frozen=True, slots=True)
 class Answers(Estimates):
-    """What a unit under test has answered, each row when it came."""
+    """Holds the answers of a unit under test, each row stamped at its arrival."""
 
     arrival: np.ndarray = column()  # (n,) s of flight
 

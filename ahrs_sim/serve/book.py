@@ -20,7 +20,7 @@ _KEPT = 4096  # stamps of samples sent
 
 
 class Book:
-    """What was sent and what has come; several threads may write and read it.
+    """Records what was sent and received; safe for several threads.
 
     Args:
         resolution_ns: of the times in answers.

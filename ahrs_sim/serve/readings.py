@@ -16,7 +16,7 @@ SWITCHED_ON_NS = -(10**9)
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """What a GNSS receiver has sent, of one instant; parts that did not come are NaN."""
+    """Holds a GNSS receiver's report of one instant; missing parts are NaN."""
 
     t_ns: int  # of the instant, on the unit's clock
     lla: np.ndarray  # (3,) rad, rad, m

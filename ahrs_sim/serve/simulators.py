@@ -53,7 +53,7 @@ class Autopilot:
 
     @property
     def where(self) -> str:
-        """What the autopilot connects to."""
+        """Return the address that the autopilot connects to."""
         raise NotImplementedError
 
     def wait(self) -> bool:
@@ -144,7 +144,7 @@ class Px4(Autopilot):
 
     @property
     def where(self) -> str:
-        """What PX4 connects to."""
+        """Return the address that PX4 connects to."""
         return self._link.name
 
     def wait(self) -> bool:
@@ -228,7 +228,7 @@ class ArduPilot(Autopilot):
 
     @property
     def where(self) -> str:
-        """What ArduPilot sends its servos to."""
+        """Return the address that ArduPilot sends its servo outputs to."""
         return f"udp:{self._servos.getsockname()[1]}"
 
     def wait(self) -> bool:

@@ -66,7 +66,7 @@ class Unit:
 
     @property
     def where(self) -> str:
-        """What the unit opens or connects to."""
+        """Return the address or device that the unit opens."""
         return self._link.name
 
     def wait(self) -> bool:

@@ -46,7 +46,7 @@ class TopicInfo:
 
     @property
     def readable(self) -> bool:
-        """Whether its messages can be decoded, by profile and encoding: ROS 2."""
+        """Tell whether messages of a channel can be decoded, by profile and encoding: ROS 2."""
         return self.encoding == "cdr" and self.schema_encoding == "ros2msg"
 
 

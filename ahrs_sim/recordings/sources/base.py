@@ -57,7 +57,7 @@ class Topic:
 
 
 class Source(Protocol):
-    """What is asked of a recording."""
+    """Describes what every kind of recording provides."""
 
     path: Path
     epoch_ns: int  # log time of the first message, ns since 1970, or since the clock's own zero

@@ -347,7 +347,7 @@ def _dated(file: TextTable, name: str, table: Table) -> np.ndarray:
 
 
 def _calendar(table: Table, file: TextTable) -> np.ndarray:
-    """From columns year, month, day, hour, minute, second and perhaps nanosecond."""
+    """Convert columns year, month, day, hour, minute, second and perhaps nanosecond to a time."""
     parts = {k: file.numbers(table.text(k), table, k) for k in ("year", "month", "day", "hour", "minute", "second")}
     more = file.numbers(table.text("nanosecond"), table, "nanosecond") if table.has("nanosecond") else 0.0
     good = np.all([np.isfinite(v) for v in parts.values()], axis=0) & (parts["year"] > 1900) & (parts["year"] < 2200)

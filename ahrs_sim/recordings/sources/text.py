@@ -76,7 +76,7 @@ class TextTable:
         return numbers
 
     def cell(self, column: Any, i: int) -> str:
-        """Where a value stands, and what it is."""
+        """Name the row and the value of a cell, for messages."""
         return f"row {self.first_row + i}: '{str(column.iloc[i])[:40]}'"
 
     def no_number(self, column: Any, i: int) -> str:
@@ -223,7 +223,7 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """What the lines are divided by equally often; decimal commas stand between digits and are no separators."""
+    """Find the separator that divides all lines equally often; a comma between digits may be a decimal comma."""
     best, most = " ", 0
     for separator in _SEPARATORS:
         counts = {line.count(separator) for line in lines}

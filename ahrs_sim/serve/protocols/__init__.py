@@ -22,7 +22,7 @@ from ahrs_sim.serve.readings import SWITCHED_ON_NS, Reading
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What the unit says of its attitude at a time of the stream's clock."""
+    """Holds the attitude that the unit reports for a time of the stream's clock."""
 
     t_ns: int  # of the stamps that it was sent, in the protocol's resolution
     q_nb: np.ndarray  # (4,), NaN: none yet
