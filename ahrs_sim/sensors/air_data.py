@@ -13,7 +13,7 @@ all suites. Vanes, where fitted, read angle of attack and sideslip of the undist
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from ahrs_sim.sensors.latency import LatencyBuffer
 from ahrs_sim.sensors.noise import White, gauss_markov
 from ahrs_sim.sensors.records import AirRecord, PressureRecord, Record
 from ahrs_sim.sensors.sampling import Clock, Lag, nanoseconds, pick
+from estimators import native
 
 GAS_CONSTANT = 287.05287  # J/(kg K), dry air
 SEA_LEVEL_PRESSURE = 101325.0  # Pa
@@ -59,6 +60,17 @@ class AirFigures:
     vane_lag: float = figure("time", minimum=0.0)
 
 
+class PressureErrors(native.Record):
+    """Holds the errors of the two pressures that are drawn once a flight; columns: differential, static."""
+
+    day: native.Number  # Pa, the day's pressure less the standard one
+    position_error: native.Number  # part of the impact pressure that the static port sees
+    share: native.Number  # of a step that the pipes' lag covers
+    scale: Annotated[np.ndarray, native.shaped(2)]
+    bias: Annotated[np.ndarray, native.shaped(2)]  # Pa
+    quantum: Annotated[np.ndarray, native.shaped(2)]  # Pa
+
+
 class AirData:
     """Air data unit of a suite: sends records `diff_pressure`, `static_pressure` and `air`."""
 
@@ -80,7 +92,14 @@ class AirData:
         self.temperature_bias = drawn("temperature bias") * f.temperature_bias  # K
         self.vane_bias = fitting.normal("air_data", "vane bias", 2) * f.vane_bias  # rad
         self.day_pressure = fitting.world("pressure of the day").standard_normal() * f.day_pressure  # Pa
-        self._lag = _share(f.lag, fitting.dt)
+        self._errors = PressureErrors.of(
+            day=self.day_pressure,
+            position_error=self.position_error,
+            share=_share(f.lag, fitting.dt),
+            scale=(self.diff_scale, 0.0),
+            bias=(self.diff_bias, self.static_bias),
+            quantum=(f.diff_quantum, f.static_quantum),
+        )
         self._pipes = np.full(2, np.nan)  # Pa, state of the lag: impact, static
         self._white = White(np.array([f.diff_noise, f.static_noise]), fitting.stream("air_data", "white"))
         wander = np.array([f.diff_wander, f.static_wander])
@@ -88,7 +107,6 @@ class AirData:
         self._vane_white = White(np.full(2, f.vane_noise), fitting.stream("air_data", "vanes"))
         self._vane_lags = [Lag(f.vane_lag, fitting.dt), Lag(f.vane_lag, fitting.dt)]
         self._limit = np.array([f.diff_range, np.inf])
-        self._quanta = (f.diff_quantum, f.static_quantum)
         kinds = zip((PressureRecord, PressureRecord, AirRecord), self.records, strict=True)
         self._buffers = [LatencyBuffer(cls, fitting.channel(name), f.latency) for cls, name in kinds]
 
@@ -121,9 +139,8 @@ class AirData:
             if self._channels[k].shaping:
                 self._channels[k].shape(t, noise[:, k : k + 1], limit[:, k : k + 1])
         noise += self._wander.draw(m)
-        _sense(truth.pressure, truth.temperature, truth.airspeed, rows.start, self._clock.every, self._lag,
-               self.day_pressure, self.position_error, self.diff_scale, self.diff_bias, self.static_bias, noise, limit,
-               *self._quanta, self._pipes, pressures)  # fmt: skip
+        _sense(native.argument(self._errors), truth.pressure, truth.temperature, truth.airspeed, rows.start,
+               self._clock.every, noise, limit, self._pipes, pressures)  # fmt: skip
         for k in (0, 1):
             if self._channels[k].sending:
                 self._channels[k].send(t, pressures[:, k : k + 1])
@@ -161,29 +178,28 @@ def _share(time: float, dt: float) -> float:
 
 @njit
 def _sense(
-    p: np.ndarray, temperature: np.ndarray, airspeed: np.ndarray, first: int, every: int, share: float, day: float,
-    position_error: float, scale: float, diff_bias: float, static_bias: float, noise: np.ndarray, limit: np.ndarray,
-    diff_quantum: float, static_quantum: float, pipes: np.ndarray, out: np.ndarray,
+    errors: PressureErrors, p: np.ndarray, temperature: np.ndarray, airspeed: np.ndarray, first: int, every: int,
+    noise: np.ndarray, limit: np.ndarray, pipes: np.ndarray, out: np.ndarray,
 ) -> None:  # fmt: skip
     """Measure differential and static pressure (m, 2), Pa, from truth rows (n,)."""
     m = 0
     for i in range(p.shape[0]):
         mach2 = airspeed[i] * airspeed[i] / (1.4 * GAS_CONSTANT * temperature[i])
         qc = p[i] * math.expm1(3.5 * math.log1p(0.2 * mach2))
-        static = p[i] + day + position_error * qc
-        impact = (1.0 - position_error) * qc
-        if np.isnan(pipes[0]) or share == 1.0:
+        static = p[i] + errors.day + errors.position_error * qc
+        impact = (1.0 - errors.position_error) * qc
+        if np.isnan(pipes[0]) or errors.share == 1.0:
             pipes[0] = impact
             pipes[1] = static
         else:
-            pipes[0] += share * (impact - pipes[0])
-            pipes[1] += share * (static - pipes[1])
+            pipes[0] += errors.share * (impact - pipes[0])
+            pipes[1] += errors.share * (static - pipes[1])
         if i != first + m * every or m >= out.shape[0]:
             continue
         for k in range(2):
-            v = (1.0 + scale) * pipes[0] + diff_bias if k == 0 else pipes[1] + static_bias
+            v = (1.0 + errors.scale[k]) * pipes[k] + errors.bias[k]
             v = min(max(v + noise[m, k], -limit[m, k]), limit[m, k])
-            quantum = diff_quantum if k == 0 else static_quantum
+            quantum = errors.quantum[k]
             out[m, k] = np.rint(v / quantum) * quantum if quantum > 0.0 else v
         m += 1
 

@@ -19,6 +19,7 @@ from ahrs_sim.sensors.fitting import Fitting
 from ahrs_sim.sensors.grade import figure
 from ahrs_sim.sensors.noise import White, in_run_bias, rms, white_sigma
 from ahrs_sim.sensors.sampling import BandLimit
+from estimators.native import Flag, Matrix3, Number, Record, Vector3, argument
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,21 @@ class GyroFigures(InertialFigures):
     g_sensitivity: float = figure("rate_per_g", minimum=0.0)
 
 
+class TriadErrors(Record):
+    """Holds the terms of the equation at the head of this file that are drawn once a flight, in the sensor's axes."""
+
+    true_mount: Matrix3  # from body to sensor axes
+    mount: Matrix3  # the same, as the unit knows it
+    matrix: Matrix3  # I + S + M
+    square: Vector3  # k / range
+    g_matrix: Matrix3  # G
+    rectification: Vector3  # v
+    temperature: Vector3  # bias per K
+    turn_on: Vector3
+    quantum: Number
+    own_input: Flag  # the effective bias includes what the sensor's own input causes
+
+
 class Triad:
     """One three-axis sensor of a suite.
 
@@ -77,23 +93,29 @@ class Triad:
         corners = [c for c in (f.bandwidth, f.antialias * rate) if c > 0.0]
         self.band = BandLimit(min(corners, default=0.0), f.delay, fitting.dt, every, longest)
         # A stream for each term: another term, or another size of one, leaves the draws of all others as they are.
-        self.turn_on = fitting.normal(name, "turn-on", 3) * f.turn_on_bias
-        self.matrix = math.tan(f.misalignment) * fitting.normal(name, "misalignment", 3, 3)
-        self.matrix += f.cross_axis * fitting.normal(name, "cross-axis", 3, 3)
-        np.fill_diagonal(self.matrix, 1.0 + f.scale * fitting.normal(name, "scale", 3))
+        matrix = math.tan(f.misalignment) * fitting.normal(name, "misalignment", 3, 3)
+        matrix += f.cross_axis * fitting.normal(name, "cross-axis", 3, 3)
+        np.fill_diagonal(matrix, 1.0 + f.scale * fitting.normal(name, "scale", 3))
         finite = np.isfinite(f.range)
-        self._square = fitting.normal(name, "non-linearity", 3) * f.non_linearity
-        self._square *= finite / np.where(finite, f.range, 1.0)
-        self._tempco = fitting.normal(name, "temperature", 3) * f.temperature_drift
-        self._g_matrix = fitting.normal(name, "g-sensitivity", 3, 3) * getattr(f, "g_sensitivity", 0.0)
-        rectification = getattr(f, "vibration_rectification", np.zeros(3))
-        self._rectification = fitting.normal(name, "rectification", 3) * rectification
+        square = fitting.normal(name, "non-linearity", 3) * f.non_linearity
+        self._errors = TriadErrors.of(
+            true_mount=np.einsum("ij,jk->ik", fitting.mounting_error, fitting.mount),
+            mount=fitting.mount,
+            matrix=matrix,
+            square=square * (finite / np.where(finite, f.range, 1.0)),
+            g_matrix=fitting.normal(name, "g-sensitivity", 3, 3) * getattr(f, "g_sensitivity", 0.0),
+            rectification=fitting.normal(name, "rectification", 3) * getattr(f, "vibration_rectification", np.zeros(3)),
+            temperature=fitting.normal(name, "temperature", 3) * f.temperature_drift,
+            turn_on=fitting.normal(name, "turn-on", 3) * f.turn_on_bias,
+            quantum=f.quantum,
+            own_input=not isinstance(f, GyroFigures),
+        )
+        # Parts of the record: whoever changes them (a magnetometer's iron) changes what is measured.
+        self.matrix, self.turn_on = self._errors.matrix, self._errors.turn_on
         self._white = White(white_sigma(f.noise_density, rate), fitting.stream(name, "white"))
         self._in_run = in_run_bias(f.bias_floor, f.rate_random_walk, self.period, fitting.stream(name, "in-run"))
         # Whole quanta within the range, so that quantising what was clipped changes nothing more.
         self._limit = np.floor(f.range / f.quantum) * f.quantum if f.quantum > 0.0 else f.range
-        self._mount = np.ascontiguousarray(fitting.mount)
-        self._true_mount = np.einsum("ij,jk->ik", fitting.mounting_error, fitting.mount)
 
     @property
     def scale_sigma(self) -> float:
@@ -142,10 +164,8 @@ class Triad:
         bias = self._in_run.draw(m)
         out, effective, saturated = np.empty((m, 3)), np.empty((m, 3)), np.zeros(m, bool)
         none = np.zeros(m)
-        _triad(u, u if force_b is None else force_b, none if rms2 is None else rms2, none if warmth is None else warmth,
-               noise, self._true_mount, self._mount, self.matrix, self._square, self._g_matrix, self._rectification,
-               self._tempco, self.turn_on, limit, self.figures.quantum, bias, effective, force_b is None, out,
-               saturated)  # fmt: skip
+        _triad(argument(self._errors), u, u if force_b is None else force_b, none if rms2 is None else rms2,
+               none if warmth is None else warmth, noise, limit, bias, effective, out, saturated)  # fmt: skip
         if self.channel.sending:
             self.channel.send(t, out)
         return out, saturated, bias, effective, u
@@ -153,15 +173,15 @@ class Triad:
 
 @njit
 def _triad(
-    u_b: np.ndarray, force_b: np.ndarray, rms2: np.ndarray, warmth: np.ndarray, noise: np.ndarray,
-    true_mount: np.ndarray, mount: np.ndarray, matrix: np.ndarray, square: np.ndarray, g_matrix: np.ndarray,
-    rectification: np.ndarray, tempco: np.ndarray, turn_on: np.ndarray, limit: np.ndarray, quantum: float,
-    bias: np.ndarray, effective: np.ndarray, whole: bool, out: np.ndarray, saturated: np.ndarray,
+    errors: TriadErrors, u_b: np.ndarray, force_b: np.ndarray, rms2: np.ndarray, warmth: np.ndarray, noise: np.ndarray,
+    limit: np.ndarray, bias: np.ndarray, effective: np.ndarray, out: np.ndarray, saturated: np.ndarray,
 ) -> None:  # fmt: skip
     """Evaluate the equation at the head of this file, row by row.
 
     `bias` (m, 3) comes as the in-run part in sensor axes and leaves as the whole in body axes.
     """
+    true_mount, mount, matrix, g_matrix = errors.true_mount, errors.mount, errors.matrix, errors.g_matrix
+    square, rectification, quantum = errors.square, errors.rectification, errors.quantum
     u, f, y, b, e = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in range(out.shape[0]):
         for k in range(3):
@@ -169,13 +189,13 @@ def _triad(
             u[k] = c0 * u_b[i, 0] + c1 * u_b[i, 1] + c2 * u_b[i, 2]
             f[k] = c0 * force_b[i, 0] + c1 * force_b[i, 1] + c2 * force_b[i, 2]
         for k in range(3):
-            b[k] = turn_on[k] + bias[i, k] + tempco[k] * warmth[i]
+            b[k] = errors.turn_on[k] + bias[i, k] + errors.temperature[k] * warmth[i]
             v = matrix[k, 0] * u[0] + matrix[k, 1] * u[1] + matrix[k, 2] * u[2] + square[k] * u[k] * u[k]
             e[k] = b[k] + rectification[k] * rms2[i]
             e[k] += g_matrix[k, 0] * f[0] + g_matrix[k, 1] * f[1] + g_matrix[k, 2] * f[2]
             own = v - u[k]
             v += e[k] + noise[i, k]
-            if whole:  # not v less the noise: its last digit would depend on that
+            if errors.own_input:  # not v less the noise: its last digit would depend on that
                 e[k] += own
             top = limit[i, k]
             if v > top or v < -top:
@@ -188,5 +208,5 @@ def _triad(
             out[i, k] = mount[0, k] * y[0] + mount[1, k] * y[1] + mount[2, k] * y[2]
             bias[i, k] = mount[0, k] * b[0] + mount[1, k] * b[1] + mount[2, k] * b[2]
             effective[i, k] = mount[0, k] * e[0] + mount[1, k] * e[1] + mount[2, k] * e[2]
-            if whole:  # the mounting that the unit does not know of
+            if errors.own_input:  # the mounting that the unit does not know of
                 effective[i, k] += mount[0, k] * u[0] + mount[1, k] * u[1] + mount[2, k] * u[2] - u_b[i, k]
