@@ -98,7 +98,7 @@ class Triad:
         np.fill_diagonal(matrix, 1.0 + f.scale * fitting.normal(name, "scale", 3))
         finite = np.isfinite(f.range)
         square = fitting.normal(name, "non-linearity", 3) * f.non_linearity
-        self._errors = TriadErrors.of(
+        self.errors = TriadErrors.of(
             true_mount=np.einsum("ij,jk->ik", fitting.mounting_error, fitting.mount),
             mount=fitting.mount,
             matrix=matrix,
@@ -111,7 +111,7 @@ class Triad:
             own_input=not isinstance(f, GyroFigures),
         )
         # Parts of the record: whoever changes them (a magnetometer's iron) changes what is measured.
-        self.matrix, self.turn_on = self._errors.matrix, self._errors.turn_on
+        self.matrix, self.turn_on = self.errors.matrix, self.errors.turn_on
         self._white = White(white_sigma(f.noise_density, rate), fitting.stream(name, "white"))
         self._in_run = in_run_bias(f.bias_floor, f.rate_random_walk, self.period, fitting.stream(name, "in-run"))
         # Whole quanta within the range, so that quantising what was clipped changes nothing more.
@@ -164,7 +164,7 @@ class Triad:
         bias = self._in_run.draw(m)
         out, effective, saturated = np.empty((m, 3)), np.empty((m, 3)), np.zeros(m, bool)
         none = np.zeros(m)
-        _triad(argument(self._errors), u, u if force_b is None else force_b, none if rms2 is None else rms2,
+        _triad(argument(self.errors), u, u if force_b is None else force_b, none if rms2 is None else rms2,
                none if warmth is None else warmth, noise, limit, bias, effective, out, saturated)  # fmt: skip
         if self.channel.sending:
             self.channel.send(t, out)

@@ -313,8 +313,8 @@ def test_a_place_counts_from_the_centre_of_gravity() -> None:
 
 TERMS = {
     "turn-on": "turn_on", "misalignment": "matrix", "cross-axis": "matrix", "scale": "matrix",
-    "non-linearity": "_square", "temperature": "_tempco", "g-sensitivity": "_g_matrix",
-    "rectification": "_rectification",
+    "non-linearity": "square", "temperature": "temperature", "g-sensitivity": "g_matrix",
+    "rectification": "rectification",
 }  # fmt: skip
 
 
@@ -324,7 +324,7 @@ def test_a_term_that_draws_more_changes_no_other(term: str, monkeypatch: pytest.
 
     def drawn() -> dict[str, np.ndarray]:
         imu: Any = suite("chr_6dm", **IMU, **sizes)._instruments[0]
-        return {name: np.array(getattr(imu.gyro, name)) for name in set(TERMS.values())}
+        return {name: np.array(imu.gyro.errors[name]) for name in set(TERMS.values())}
 
     sizes: dict[str, Any] = {
         "gyro": {"cross_axis_percent": 1.0, "non_linearity_percent": 0.1, "vibration_rectification_dps_per_g2": 0.1}
