@@ -121,11 +121,11 @@ def parser() -> argparse.ArgumentParser:
     """Make the parser of all commands; `command` of what it parses is the `run` function of the one that was given."""
     made = argparse.ArgumentParser(
         prog="ahrs-sim",
-        description="Fly a model aircraft, measure it with low-cost sensors, estimate its attitude, say who was wrong.",
+        description="Fly a model aircraft, measure it with low-cost sensors, estimate its attitude, report the errors.",
     )
     made.add_argument("--completion", action=_Completion, metavar="SHELL", help="print a completion script and exit")
     made.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
-    made.add_argument("--debug", action="store_true", help="show where an unforeseen error came from")
+    made.add_argument("--debug", action="store_true", help="print the traceback of an unforeseen error")
     commands = made.add_subparsers(metavar="COMMAND", required=True)
     for command in _COMMANDS:
         added = command.add_parser(commands)

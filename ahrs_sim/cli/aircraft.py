@@ -15,11 +15,11 @@ MODES = ("short period", "phugoid", "Dutch roll", "roll", "spiral")
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
-    command = commands.add_parser("aircraft", help="trims, modes, gains, margins and envelope of an aircraft")
+    command = commands.add_parser("aircraft", help="print trims, modes, gains, margins and envelope of an aircraft")
     command.add_argument(
         "name", help="one of `ahrs-sim list aircraft`, or the path of a JSBSim model's folder or XML file"
     )
-    command.add_argument("--json", action="store_true")
+    command.add_argument("--json", action="store_true", help="print JSON")
     return command
 
 

@@ -9,12 +9,12 @@ from ahrs_sim.cli.common import Commands, add_map
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
-    command = commands.add_parser("allan", help="Allan deviation of the inertial channels of a log")
-    command.add_argument("log", type=Path)
+    command = commands.add_parser("allan", help="compute the Allan deviation of inertial channels")
+    command.add_argument("log", type=Path, help="a log, or any recording that replay reads")
     command.add_argument("--topic", action="append", default=[], help="an Imu topic (default: all); may be repeated")
     add_map(command)
     command.add_argument("--plot", type=Path, metavar="PNG", help="draw the curves")
-    command.add_argument("--json", action="store_true")
+    command.add_argument("--json", action="store_true", help="print JSON")
     return command
 
 

@@ -10,14 +10,14 @@ from ahrs_sim.cli.common import Commands, Progress, add_span, gate, natural, pos
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
     command = commands.add_parser(
-        "bound", help="the best attitude that any filter could make of a suite's sensors on a flight (Cramer-Rao)"
+        "bound", help="compute the least error that any filter can reach with a suite on a flight (Cramer-Rao)"
     )
     command.add_argument("scenario", help="a TOML file, or the name of a shipped scenario")
     command.add_argument("--suite", required=True, metavar="NAME", help="one of the scenario's")
-    command.add_argument("--seed", type=natural, metavar="N", help="instead of the scenario's")
+    command.add_argument("--seed", type=natural, metavar="N", help="seed, instead of the scenario's")
     command.add_argument("--duration", type=positive, metavar="S", help="end the flight after S seconds")
     add_span(command, "sigmas ")
-    command.add_argument("--json", action="store_true")
+    command.add_argument("--json", action="store_true", help="print JSON")
     return command
 
 

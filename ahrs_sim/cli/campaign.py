@@ -11,9 +11,9 @@ from ahrs_sim.errors import InputError, nearest
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
-    command = commands.add_parser("campaign", help="many flights with varied seeds and values; statistics of them")
+    command = commands.add_parser("campaign", help="fly many flights with varied seeds and values; print statistics")
     command.add_argument("scenario", help="a TOML file, or the name of a shipped scenario")
-    command.add_argument("--runs", type=count, required=True, metavar="N")
+    command.add_argument("--runs", type=count, required=True, metavar="N", help="number of flights")
     command.add_argument(
         "-o", "--output", metavar="DIR", help="a folder or an fsspec address; required unless --tune is given"
     )
@@ -24,17 +24,17 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
         metavar="KEY=DIST",
         help="uniform:A..B, normal:M,S, choice:A,B, grid:A,B or lhs:A..B of any scenario value; may be repeated",
     )
-    command.add_argument("--seed", type=natural, metavar="N", help="of run 0; run k has the k-th after it")
+    command.add_argument("--seed", type=natural, metavar="N", help="seed of run 0; run k has the k-th after it")
     add_estimators(command, "as for fly")
     command.add_argument("--duration", type=positive, metavar="S", help="end every flight after S seconds")
     where = command.add_mutually_exclusive_group()
     where.add_argument("--workers", type=count, metavar="N", help="processes (default: one per processor)")
-    where.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster, e.g. tcp://head:8786")
-    command.add_argument("--keep-logs", metavar="worst:N", help="logs of the N worst runs, or all")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="run on a Dask cluster, e.g. tcp://head:8786")
+    command.add_argument("--keep-logs", metavar="worst:N", help="keep the logs of the N worst runs, or all")
     command.add_argument("--metric", default="tilt_rmse_deg", metavar="FIGURE", help="figure used to rank runs")
     command.add_argument("--worst-of", metavar="NAME", help="rank runs by this estimator (default: the worst of each)")
     command.add_argument(
-        "--against", metavar="NAME", help="paired differences from this estimator (default: the most accurate)"
+        "--against", metavar="NAME", help="take paired differences from this estimator (default: the most accurate)"
     )
     command.add_argument(
         "--tune",
@@ -43,7 +43,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
         metavar="EST.SETTING=A..B",
         help="minimise the metric, then compare on N further seeds; may be repeated",
     )
-    command.add_argument("--json", action="store_true")
+    command.add_argument("--json", action="store_true", help="print JSON")
     command.add_argument("--quiet", action="store_true", help="print nothing but errors")
     return command
 

@@ -11,22 +11,26 @@ from ahrs_sim.cli.common import Commands, Progress, add_code, count, gate
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
     command = commands.add_parser(
-        "certify", help="which requirements an estimator meets, manoeuvre by manoeuvre; exit 1 when one is not shown"
+        "certify", help="test an estimator against requirements, manoeuvre by manoeuvre; exit 1 unless all are met"
     )
     command.add_argument(
         "estimators", nargs="+", metavar="ESTIMATOR[@SUITE]", help="SUITE: chr (default), sbg, ideal, or a grade"
     )
     command.add_argument("--limits", metavar="TOML", help="requirements of your own, laid over the shipped standard")
-    command.add_argument("--runs", type=count, metavar="N", help="flights of each kind (default: the least that show)")
-    command.add_argument("-o", "--output", metavar="DIR", help="where flights are kept (default: logs/certify-NAME...)")
+    command.add_argument(
+        "--runs", type=count, metavar="N", help="flights of each kind (default: the fewest that can show it)"
+    )
+    command.add_argument("-o", "--output", metavar="DIR", help="folder of the flights (default: logs/certify-NAME...)")
     where = command.add_mutually_exclusive_group()
     where.add_argument("--workers", type=count, metavar="N", help="processes (default: one per processor)")
-    where.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster, e.g. tcp://head:8786")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="run on a Dask cluster, e.g. tcp://head:8786")
     add_code(command)
-    command.add_argument("--html", type=Path, metavar="FILE", help="a page with links to the worst moments in reports")
+    command.add_argument(
+        "--html", type=Path, metavar="FILE", help="write a page with links to the worst moments in reports"
+    )
     command.add_argument("--junit", type=Path, metavar="FILE", help="write the result as JUnit XML")
     form = command.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true")
+    form.add_argument("--json", action="store_true", help="print JSON")
     form.add_argument("--markdown", action="store_true", help="print a page such as docs/certify.md")
     return command
 

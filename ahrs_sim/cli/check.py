@@ -11,17 +11,17 @@ from ahrs_sim.errors import InputError
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
     command = commands.add_parser(
-        "check", help="accuracy of a suite of flights against its baseline; exit 1 when worse"
+        "check", help="compare the accuracy of a suite of flights with its baseline; exit 1 when worse"
     )
     command.add_argument("suite", nargs="?", help="a TOML file (default: the standard suite in tests/baselines)")
-    command.add_argument("--renew", action="store_true", help="make the present accuracy the baseline; needs --why")
-    command.add_argument("--why", metavar="TEXT", help="the reason, kept in the baseline's history")
+    command.add_argument("--renew", action="store_true", help="store the present accuracy as the baseline; needs --why")
+    command.add_argument("--why", metavar="TEXT", help="reason, kept in the baseline's history")
     add_code(command)
     command.add_argument("--workers", type=count, metavar="N", help="processes (default: one per processor)")
-    command.add_argument("--all", action="store_true", help="list what has not changed, too")
+    command.add_argument("--all", action="store_true", help="list unchanged figures, too")
     command.add_argument("--junit", type=Path, metavar="FILE", help="write the result as JUnit XML")
     form = command.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true")
+    form.add_argument("--json", action="store_true", help="print JSON")
     form.add_argument("--markdown", action="store_true", help="print a comment for a pull request")
     return command
 

@@ -10,7 +10,7 @@ from ahrs_sim.errors import InputError
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
-    command = commands.add_parser("choose", help="which unit, calibration and estimator meet a need in a scenario")
+    command = commands.add_parser("choose", help="rank units, calibrations and estimators by whether they meet a need")
     command.add_argument("scenario", help="a TOML file, or the name of a shipped scenario")
     command.add_argument(
         "--need",
@@ -26,21 +26,22 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
         help="only this unit; may be repeated (default: the shop)",
     )
     command.add_argument(
-        "--with", dest="parts", metavar="GRADES", help="what completes a unit (default: rm3100 + zed_f9p + ms4525do)"
+        "--with",
+        dest="parts",
+        metavar="GRADES",
+        help="grades that complete a unit (default: rm3100 + zed_f9p + ms4525do)",
     )
     command.add_argument("--estimator", action="append", default=[], metavar="METHOD", help="may be repeated")
-    command.add_argument("--runs", type=count, default=5, metavar="N", help="flights (5)")
-    command.add_argument("--seed", type=natural, metavar="N", help="of the first flight")
+    command.add_argument("--runs", type=count, default=5, metavar="N", help="number of flights (5)")
+    command.add_argument("--seed", type=natural, metavar="N", help="seed of the first flight")
     command.add_argument("--duration", type=positive, metavar="S", help="end every flight after S seconds")
     command.add_argument(
-        "--quantile", type=_share, default=0.5, metavar="Q", help="of the flights that is to meet it (0.5)"
+        "--quantile", type=_share, default=0.5, metavar="Q", help="share of the flights that must meet the need (0.5)"
     )
-    command.add_argument("--confidence", type=_share, default=0.95, metavar="P", help="with which that is shown (0.95)")
-    command.add_argument(
-        "-o", "--output", metavar="DIR", help="where flights are kept, to go on with (default: nowhere)"
-    )
+    command.add_argument("--confidence", type=_share, default=0.95, metavar="P", help="confidence of that share (0.95)")
+    command.add_argument("-o", "--output", metavar="DIR", help="keep the flights here, to resume (default: not kept)")
     command.add_argument("--workers", type=count, metavar="N", help="processes (default: one per processor)")
-    command.add_argument("--json", action="store_true")
+    command.add_argument("--json", action="store_true", help="print JSON")
     return command
 
 

@@ -70,7 +70,7 @@ def add_code(command: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME",
-        help="let its estimators run this code from outside: package, or package.module:Class; may be repeated",
+        help="let estimators run this outside code: package, or package.module:Class; may be repeated",
     )
 
 
@@ -90,7 +90,7 @@ def gate(allowed: Sequence[str], quiet: bool = False) -> "Gate":
 
 def add_map(command: argparse.ArgumentParser) -> None:
     """Add `--map TOML`: what the columns of a table of text are."""
-    command.add_argument("--map", type=Path, metavar="TOML", help="what the columns of a .csv are; preset:NAME")
+    command.add_argument("--map", type=Path, metavar="TOML", help="name the columns of a .csv, or preset:NAME")
 
 
 def add_span(command: argparse.ArgumentParser, what: str = "") -> None:
@@ -107,9 +107,9 @@ def add_live(command: argparse.ArgumentParser) -> None:
         type=_port,
         const=8765,
         metavar="PORT",
-        help="stream it to viewers, too (write --live=PORT)",
+        help="stream the flight to viewers, too (write --live=PORT)",
     )
-    command.add_argument("--rate", type=positive, default=1.0, metavar="X", help="with --live: so many times real time")
+    command.add_argument("--rate", type=positive, default=1.0, metavar="X", help="multiple of real time, with --live")
 
 
 def open_live(arguments: argparse.Namespace, stopped: Callable[[], bool] = lambda: False) -> "Live | None":

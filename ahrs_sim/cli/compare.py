@@ -11,22 +11,26 @@ from ahrs_sim.cli.common import Commands, add_span
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
-    command = commands.add_parser("compare", help="accuracy of every estimator in a log")
-    command.add_argument("log", type=Path, nargs="+")
+    command = commands.add_parser("compare", help="print the accuracy of every estimator in a log")
+    command.add_argument("log", type=Path, nargs="+", help="logs of ours")
     command.add_argument(
-        "--reference", metavar="NAME", help="an estimator, any orientation topic, or smoothed; not the truth"
+        "--reference",
+        metavar="NAME",
+        help="take errors against an estimator, an orientation topic or smoothed, not the truth",
     )
     command.add_argument("--align", choices=["heading", "frames"], help="remove a constant rotation before comparing")
     command.add_argument("--sync", action="store_true", help="remove a constant delay before comparing")
-    command.add_argument("--against", metavar="NAME", help="paired differences of every estimator from this one")
+    command.add_argument("--against", metavar="NAME", help="add paired differences of every estimator from this one")
     add_span(command)
-    command.add_argument("--lag", action="store_true", help="how late every attitude and its rate are, ms")
-    command.add_argument("--all", action="store_true", help="print 95th percentiles and maxima of every angle, too")
-    command.add_argument("--report", type=Path, metavar="HTML", help="one page with all plots, to open in a browser")
-    command.add_argument("--png", type=Path, metavar="DIR", help="the main figures")
+    command.add_argument("--lag", action="store_true", help="print the delay of every attitude and its rate, ms")
+    command.add_argument("--all", action="store_true", help="add 95th percentiles and maxima of every angle")
+    command.add_argument(
+        "--report", type=Path, metavar="HTML", help="write a page with all plots, to open in a browser"
+    )
+    command.add_argument("--png", type=Path, metavar="DIR", help="write the main figures")
     form = command.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true")
-    form.add_argument("--csv", action="store_true")
+    form.add_argument("--json", action="store_true", help="print JSON")
+    form.add_argument("--csv", action="store_true", help="print CSV")
     return command
 
 

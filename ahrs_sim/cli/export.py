@@ -8,8 +8,8 @@ from ahrs_sim.cli.common import Commands, add_map
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
-    command = commands.add_parser("export", help="the topics of a log as tables, or a layout of a viewer for it")
-    command.add_argument("log", type=Path)
+    command = commands.add_parser("export", help="write the topics of a log as tables, or a viewer's layout for it")
+    command.add_argument("log", type=Path, help="a log, or any recording that replay reads")
     command.add_argument("--to", dest="form", choices=["parquet", "csv", "layout"], required=True)
     command.add_argument("--topic", action="append", default=[], help="only this one; may be repeated")
     add_map(command)

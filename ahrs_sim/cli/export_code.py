@@ -14,7 +14,7 @@ _TARGETS = ("x86_64-linux", "aarch64-linux", "cortex-m4f", "cortex-m7", "wasm32"
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
-    command = commands.add_parser("export-code", help="an estimator of the catalogue as native code behind a C header")
+    command = commands.add_parser("export-code", help="write an estimator as native code behind a C header")
     add_choice(command)
     command.add_argument("--target", choices=_TARGETS, default="x86_64-linux", help="default: x86_64-linux")
     command.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="a new folder")
@@ -23,11 +23,15 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
 
 def add_choice(command: argparse.ArgumentParser) -> None:
     """Add what says which estimator, for which sensors."""
-    command.add_argument("method", metavar="METHOD", help="of the catalogue: ahrs-sim list estimators")
-    command.add_argument("--suite", default="chr", metavar="NAME", help="whose data sheet is built in (default: chr)")
-    command.add_argument("--scenario", default="circuit", metavar="NAME", help="that has the suite (default: circuit)")
+    command.add_argument("method", metavar="METHOD", help="a method of the catalogue (ahrs-sim list estimators)")
     command.add_argument(
-        "--setting", action="append", default=[], metavar="NAME=VALUE", help="of the method; may be repeated"
+        "--suite", default="chr", metavar="NAME", help="suite whose data sheet is built in (default: chr)"
+    )
+    command.add_argument(
+        "--scenario", default="circuit", metavar="NAME", help="scenario that has the suite (default: circuit)"
+    )
+    command.add_argument(
+        "--setting", action="append", default=[], metavar="NAME=VALUE", help="setting of the method; may be repeated"
     )
 
 

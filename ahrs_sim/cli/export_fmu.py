@@ -9,7 +9,7 @@ from ahrs_sim.cli.export_code import add_choice, chosen
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
-    command = commands.add_parser("export-fmu", help="an estimator of the catalogue as a co-simulation unit (FMI 2.0)")
+    command = commands.add_parser("export-fmu", help="write an estimator as a co-simulation unit (FMI 2.0)")
     add_choice(command)
     command.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="a new file, NAME.fmu")
     return command

@@ -33,23 +33,25 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument(
         "scenario", nargs="?", help="a TOML file, or the name of a shipped one (ahrs-sim list scenarios)"
     )
-    command.add_argument("--from", dest="campaign", metavar="DIR", help="instead of a scenario: a run of this campaign")
-    command.add_argument("--run", dest="number", type=natural, metavar="N", help="with --from: which run")
+    command.add_argument(
+        "--from", dest="campaign", metavar="DIR", help="fly a run of this campaign instead of a scenario"
+    )
+    command.add_argument("--run", dest="number", type=natural, metavar="N", help="number of the run, with --from")
     add_flight(command, "only this one, or METHOD@SUITE; may be repeated")
-    command.add_argument("--pilot", metavar="NAME", help="fly on the attitude of this estimator, or on the truth")
+    command.add_argument("--pilot", metavar="NAME", help="close the loop on this estimator's attitude, or on the truth")
     command.add_argument("--force", action="store_true", help="replace an existing log")
     command.add_argument(
         "--block", type=positive, metavar="S", help="block length in seconds (the log does not depend on it)"
     )
     command.add_argument(
-        "--ros-axes", action="store_true", help="IMU topics a second time behind /ros, in ENU and FLU (REP-103)"
+        "--ros-axes", action="store_true", help="repeat the IMU topics under /ros in ENU and FLU (REP-103)"
     )
     command.add_argument(
         "--smooth",
         action="store_true",
-        help="also estimates smoothed over the whole flight, as /est/NAME_smoothed (ins-cal)",
+        help="add estimates smoothed over the whole flight, as /est/NAME_smoothed (ins-cal)",
     )
-    command.add_argument("--all", action="store_true", help="print 95th percentiles and maxima of every angle, too")
+    command.add_argument("--all", action="store_true", help="add 95th percentiles and maxima of every angle")
     command.add_argument("--json", action="store_true", help="print the accuracy as JSON")
     command.add_argument("--quiet", action="store_true", help="print nothing but errors")
     add_live(command)
@@ -59,7 +61,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
 def add_flight(command: argparse.ArgumentParser, estimators: str) -> None:
     """Add where a flight goes, and what replaces values of its scenario; `estimators` is the help of --estimator."""
     command.add_argument("-o", "--output", type=Path, metavar="LOG", help="default: logs/SCENARIO-seedN.mcap")
-    command.add_argument("--seed", type=natural, metavar="N", help="instead of the scenario's")
+    command.add_argument("--seed", type=natural, metavar="N", help="seed, instead of the scenario's")
     add_estimators(command, estimators)
     add_code(command)
     command.add_argument("--duration", type=positive, metavar="S", help="stop after S seconds")

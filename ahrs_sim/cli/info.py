@@ -9,11 +9,11 @@ from ahrs_sim.cli.common import Commands, add_map
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
-    command = commands.add_parser("info", help="what is in a log")
-    command.add_argument("log", type=Path)
+    command = commands.add_parser("info", help="summarise a log or a recording")
+    command.add_argument("log", type=Path, help="a log, or any recording that replay reads")
     add_map(command)
     command.add_argument("--all", action="store_true", help="print every topic and all metadata")
-    command.add_argument("--json", action="store_true")
+    command.add_argument("--json", action="store_true", help="print JSON")
     return command
 
 

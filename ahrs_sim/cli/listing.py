@@ -17,7 +17,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command = commands.add_parser("list", help="list scenarios, aircraft, grades, estimators or layouts")
     command.add_argument("what", choices=[*_LISTS, "interface"])
     command.add_argument("name", nargs="?", metavar="NAME", help="only this one, with every figure or setting")
-    command.add_argument("--json", action="store_true")
+    command.add_argument("--json", action="store_true", help="print JSON")
     return command
 
 

@@ -26,10 +26,10 @@ _LANGUAGES: dict[str, dict[str, str]] = {
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
-    command = commands.add_parser("new", help="write an estimator's project, a scenario, grade or suite to start from")
+    command = commands.add_parser("new", help="write a first estimator project, scenario, grade or suite")
     command.add_argument("what", choices=["estimator", *_NEXT])
-    command.add_argument("name", metavar="NAME", help="of the project or file: letters, digits, _, a letter first")
-    command.add_argument("--lang", choices=sorted(_LANGUAGES), help="of an estimator; default: python")
+    command.add_argument("name", metavar="NAME", help="name of the project or file: letters, digits, _, a letter first")
+    command.add_argument("--lang", choices=sorted(_LANGUAGES), help="language of an estimator (default: python)")
     command.add_argument("-o", "--output", type=Path, metavar="PATH", help="default: a folder NAME, a file NAME.toml")
     return command
 

@@ -9,10 +9,10 @@ from ahrs_sim.cli.common import Commands, Progress
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
-    command = commands.add_parser("papers", help="what the papers claim and what comes out here")
+    command = commands.add_parser("papers", help="test the claims of five papers")
     command.add_argument("name", nargs="*", help="cubature, adaptive_ins, fuzzy, emitter, switched (default: all)")
-    command.add_argument("--quick", action="store_true", help="few runs, to see that it works")
-    command.add_argument("--json", action="store_true")
+    command.add_argument("--quick", action="store_true", help="make few runs, as a trial")
+    command.add_argument("--json", action="store_true", help="print JSON")
     command.add_argument("--markdown", type=Path, metavar="FILE", help="write the page of results (docs/papers.md)")
     return command
 

@@ -23,7 +23,7 @@ from ahrs_sim.cli.common import (
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
-    command = commands.add_parser("replay", help="run estimators on a log of ours or on the bag of a real vehicle")
+    command = commands.add_parser("replay", help="run estimators on a log or on a recording of a real vehicle")
     command.add_argument("log", type=Path, help="a log of ours or any recording (docs/replay.md)")
     command.add_argument(
         "-o", "--output", type=Path, metavar="OUT", help="write the input's messages and the estimates"
@@ -31,34 +31,36 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     add_estimators(command, "of the log's scenario or the map, METHOD@SUITE, or METHOD for a bag; may be repeated")
     add_code(command)
     command.add_argument(
-        "--map", type=Path, metavar="TOML", help="what topics and axes of a bag mean (docs/replay.md); preset:NAME"
+        "--map", type=Path, metavar="TOML", help="name topics and axes of a recording (docs/replay.md), or preset:NAME"
     )
-    command.add_argument("--date", type=moment, help="when it was, where its times start near 0: 2026-06-01")
+    command.add_argument("--date", type=moment, help="set the date of a log whose times start near 0: 2026-06-01")
     command.add_argument(
         "--calibrate",
         action="append",
         default=[],
         choices=["mag", "gyro", "auto", "none"],
-        help="from the bag's own data; auto, the default: hard and soft iron, kept where the rest of the data agrees",
+        help="calibrate from the recording itself; auto (default): hard and soft iron, if the rest agrees",
     )
     add_span(command, "errors ")
-    command.add_argument("--skip", type=positive, metavar="S", help="estimators see nothing of the first S seconds")
-    command.add_argument("--until", type=positive, metavar="S", help="estimators see nothing after S seconds")
+    command.add_argument("--skip", type=positive, metavar="S", help="start estimators S seconds into the log")
+    command.add_argument("--until", type=positive, metavar="S", help="end estimators S seconds into the log")
     command.add_argument("--align", choices=["heading", "frames"], help="remove a constant rotation before comparing")
     command.add_argument(
         "--smooth",
         action="store_true",
-        help="besides, smoothed over the whole recording, as /est/NAME_smoothed (ins-cal)",
+        help="add estimates smoothed over the whole recording, as /est/NAME_smoothed (ins-cal)",
     )
-    command.add_argument("--sync", action="store_true", help="shift a bag's reference to the time of its gyro")
-    command.add_argument("--reference", metavar="TOPIC", help="what a recording's errors are taken against")
+    command.add_argument(
+        "--sync", action="store_true", help="remove the delay of a recording's reference from its gyro"
+    )
+    command.add_argument("--reference", metavar="TOPIC", help="take errors against this attitude of the recording")
     command.add_argument(
         "--find",
         action="store_true",
-        help="only look how the sensors are installed: delays, lever arm, boresight, scale",
+        help="only find the installation: delays, lever arm, boresight, scale",
     )
     command.add_argument("--force", action="store_true", help="replace an existing log")
-    command.add_argument("--all", action="store_true", help="print 95th percentiles and maxima of every angle, too")
+    command.add_argument("--all", action="store_true", help="add 95th percentiles and maxima of every angle")
     command.add_argument("--json", action="store_true", help="print the accuracy as JSON")
     add_live(command)
     return command

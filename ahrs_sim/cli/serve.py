@@ -17,21 +17,25 @@ if TYPE_CHECKING:
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
-    command = commands.add_parser("serve", help="fly for a unit on a wire: its sensors out, its attitude into the log")
+    command = commands.add_parser(
+        "serve", help="stream a flight to a connected unit and log the attitude that it returns"
+    )
     command.add_argument("scenario", help="a TOML file, or the name of a shipped one (ahrs-sim list scenarios)")
     command.add_argument("--serial", metavar="WIRE", help="pty, tcp:PORT, or a device: /dev/ttyUSB0@115200")
     command.add_argument("--protocol", metavar="NAME", help="mavlink, vectornav, sbg or ubx+nmea")
-    command.add_argument("--rate", type=positive, default=1.0, metavar="X", help="so many times real time")
+    command.add_argument("--rate", type=positive, default=1.0, metavar="X", help="multiple of real time")
     command.add_argument(
-        "--simulator", choices=["px4", "ardupilot"], help="instead of a wire: be the simulator of this autopilot"
+        "--simulator", choices=["px4", "ardupilot"], help="simulate for this autopilot instead of a wire"
     )
-    command.add_argument("--port", type=natural, metavar="N", help="where the autopilot looks for it (4560; 9002)")
-    command.add_argument("--mavlink", type=natural, metavar="N", help="where its attitude comes from (14540; 5760)")
-    command.add_argument("--suite", metavar="NAME", help="whose sensors the unit sees (default: the scenario's first)")
-    command.add_argument("--name", help="in log and table (default: unit, px4 or ardupilot)")
+    command.add_argument("--port", type=natural, metavar="N", help="port that the autopilot connects to (4560; 9002)")
+    command.add_argument("--mavlink", type=natural, metavar="N", help="port of the autopilot's attitude (14540; 5760)")
+    command.add_argument(
+        "--suite", metavar="NAME", help="suite whose sensors the unit sees (default: the scenario's first)"
+    )
+    command.add_argument("--name", help="name in log and table (default: unit, px4 or ardupilot)")
     fly.add_flight(command, "fly along: only this one, or METHOD@SUITE; may be repeated")
     command.add_argument("--force", action="store_true", help="replace an existing log")
-    command.add_argument("--all", action="store_true", help="print 95th percentiles and maxima of every angle, too")
+    command.add_argument("--all", action="store_true", help="add 95th percentiles and maxima of every angle")
     command.add_argument("--json", action="store_true", help="print the accuracy as JSON")
     command.set_defaults(campaign=None, number=None, pilot=None, quiet=False, live=None, ros_axes=False)
     return command

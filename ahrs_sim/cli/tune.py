@@ -10,7 +10,7 @@ from ahrs_sim.cli.common import Commands, Progress, add_code, gate
 
 def add_parser(commands: Commands) -> argparse.ArgumentParser:
     """Add the command and its options."""
-    command = commands.add_parser("tune", help="settings of an estimator that fit a log or a recording")
+    command = commands.add_parser("tune", help="fit an estimator's settings to a log or a recording")
     command.add_argument("log", type=Path, help="a log of ours, or any recording that replay reads")
     command.add_argument("--estimator", required=True, metavar="NAME", help="one of the log's, METHOD@SUITE, or METHOD")
     command.add_argument(
@@ -24,12 +24,14 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
         "--objective",
         choices=["likelihood", "error"],
         default="likelihood",
-        help="of the innovations (default), or the error against truth or reference",
+        help="maximise the innovation likelihood (default), or minimise the error against truth or reference",
     )
-    command.add_argument("--map", type=Path, metavar="FILE", help="what the topics and axes of a recording mean")
-    command.add_argument("--reference", metavar="TOPIC", help="what a recording's errors are taken against")
+    command.add_argument(
+        "--map", type=Path, metavar="FILE", help="name topics and axes of a recording (docs/replay.md)"
+    )
+    command.add_argument("--reference", metavar="TOPIC", help="take errors against this attitude of the recording")
     add_code(command)
-    command.add_argument("--json", action="store_true")
+    command.add_argument("--json", action="store_true", help="print JSON")
     return command
 
 
