@@ -10,7 +10,7 @@ from ahrs_sim.attitude import euler
 
 HEAD = b"\xa3\x95"
 _DTYPES = {"Q": "<u8", "B": "u1", "H": "<u2", "h": "<i2", "I": "<u4", "f": "<f4", "c": "<i2", "C": "<u2", "e": "<i4",
-           "L": "<i4", "n": "S4", "N": "S16", "Z": "S64", "b": "i1", "d": "<f8"}  # fmt: skip
+           "E": "<u4", "L": "<i4", "n": "S4", "N": "S16", "Z": "S64", "b": "i1", "d": "<f8"}  # fmt: skip
 UNITS = {"s": "s", "#": "instance", "E": "rad/s", "o": "m/s/s", "G": "Gauss", "D": "deglatitude", "U": "deglongitude",
          "m": "m", "n": "m/s", "h": "degheading", "d": "deg", "P": "Pa", "-": ""}  # fmt: skip
 MULTIPLIERS = {"-": 0.0, "0": 1.0, "F": 1e-6, "C": 1e-3, "B": 1e-2, "G": 1e-7}
@@ -38,15 +38,17 @@ def fmt(kind: int, name: str, form: str, columns: str) -> bytes:
     return HEAD + struct.pack("<BBB4s16s64s", 128, kind, size, name.encode(), form.encode(), columns.encode())
 
 
-def rows(name: str, messages: dict, **values: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-    """Times and messages of one kind."""
+def rows(
+    name: str, messages: dict, at: np.ndarray | None = None, **values: np.ndarray | float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times and messages of one kind; `at` (n,) says their order, else `TimeUS` does."""
     kind, form, columns, *_ = messages[name]
-    n = len(np.atleast_1d(values["TimeUS"]))
+    n = len(np.atleast_1d(values["TimeUS"] if at is None else at))
     out = np.zeros(n, dtype(form, columns))
     out["head"] = (0xA3, 0x95, kind)
     for column, value in values.items():
         out[column] = value
-    return out["TimeUS"].astype(np.int64), out
+    return (out["TimeUS"].astype(np.int64) if at is None else at), out
 
 
 def assembled(messages: dict, groups: list[tuple[np.ndarray, np.ndarray]], *, units: bool = True) -> bytes:

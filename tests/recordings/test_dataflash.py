@@ -69,6 +69,32 @@ def test_names_before_there_were_instances(tmp_path: Path, moving: Motion) -> No
     np.testing.assert_allclose(block["angular_velocity"]["x"], moving.gyro_b[: len(block), 0], atol=1e-6)
 
 
+def test_logs_of_milliseconds_have_the_clock_of_the_receiver_beside_their_own(tmp_path: Path, moving: Motion) -> None:
+    """Copter 3.2 and before: `TimeMS` of GPS is the receiver's time of the week, `T` that of the board."""
+    old = {
+        "IMU": (10, "Iffffff", "TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ", "", ""),
+        "GPS": (12, "BIHBcLLeeEefI", "Status,TimeMS,Week,NSats,HDop,Lat,Lng,RelAlt,Alt,Spd,GCrs,VZ,T", "", ""),
+    }
+    board, slow = np.rint(moving.t * 1e3) + 5000, slice(None, None, 20)
+    seconds = EPOCH // 10**9 + moving.t[slow] - 315964800 + 18.0
+    columns = dict(zip(("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
+                       np.column_stack([moving.gyro_b, moving.accel_b]).T, strict=True))  # fmt: skip
+    groups = [
+        rows("IMU", old, at=moving.t, TimeMS=board, **columns),
+        rows("GPS", old, at=moving.t[slow], Status=3, TimeMS=np.mod(seconds, 604800) * 1e3, Week=seconds // 604800,
+             Lat=LLA[0] * 1e7, Lng=LLA[1] * 1e7, Alt=LLA[2] * 100, Spd=500, GCrs=9000, VZ=-2.0, T=board[slow] + 150),
+    ]  # fmt: skip
+    (tmp_path / "a.bin").write_bytes(assembled(old, groups, units=False))
+    source = DataFlash(tmp_path / "a.bin")
+    assert source.epoch_ns == pytest.approx(EPOCH - 150_000_000, abs=2_000_000)
+    assert source.duration == pytest.approx(moving.t[-1], abs=0.2)
+    block = next(source.blocks(["IMU", "GPS/velocity"]))
+    late = block["GPS/velocity"]["log_time"][0] - block["IMU"]["log_time"][0]
+    assert late == 150_000_000
+    velocity = block["GPS/velocity"]["twist"]["linear"][0]
+    assert [velocity[a] for a in "xyz"] == pytest.approx([0.0, 5.0, -2.0], abs=1e-9)
+
+
 def test_a_cut_or_damaged_log_is_read_up_to_there_and_behind(tmp_path: Path, moving: Motion) -> None:
     write_dataflash(tmp_path / "a.bin", moving)
     data = (tmp_path / "a.bin").read_bytes()

@@ -191,17 +191,15 @@ class DataFlash(BinaryLog):
         for _, _, rows in self._log.instances("GPS"):
             names = rows.dtype.names or ()
             week, ms = ("GWk", "GMS") if "GWk" in names else ("Week", "TimeMS")
-            if "TimeUS" in names and {week, ms, "Status"} <= set(names):
+            if {week, ms, "Status"} <= set(names) and {"TimeUS", "T"} & set(names):
                 good = rows[(rows["Status"] >= 3) & (rows[week] > 1000)]
                 if len(good):
                     utc = from_gps(good[week], good[ms].astype(float) / 1e3)
-                    return int(np.median(utc - good["TimeUS"].astype(np.int64) * 1000))
+                    return int(np.median(utc - _board_ns(good)))
         return 0
 
     def _columns(self, type_name: str, rows: np.ndarray, fields: Mapping[str, np.ndarray], **more: Any) -> Columns:
-        names = rows.dtype.names or ()
-        clock = rows["TimeUS"].astype(np.int64) * 1000 if "TimeUS" in names else rows["TimeMS"].astype(np.int64) * 10**6
-        return self._in_time(Columns(type_name, clock + self._offset, dict(fields), **more))
+        return self._in_time(Columns(type_name, _board_ns(rows) + self._offset, dict(fields), **more))
 
     def _units(self, name: str, needed: tuple[str, ...]) -> Iterator[tuple[str, str, int, np.ndarray]]:
         """Topic, message name, rank and rows of each unit of which all fields are there."""
@@ -300,6 +298,17 @@ class DataFlash(BinaryLog):
                 else:
                     q = attitude.from_euler(np.radians(self._vector(written, rows, ("Roll", "Pitch", "Yaw"))))
                 yield topic, self._columns(ATTITUDE, rows, {"quaternion": q}, rank=10 * place + k)
+
+
+def _board_ns(rows: np.ndarray) -> np.ndarray:
+    """Read the board's clock (n,) ns of messages; in logs of milliseconds GPS has it as `T` beside the receiver's."""
+    names = rows.dtype.names or ()
+    if "TimeUS" in names:
+        column, factor = "TimeUS", 1000
+    else:
+        column, factor = "T" if {"T", "Week"} <= set(names) else "TimeMS", 10**6
+    ns: np.ndarray = rows[column].astype(np.int64) * factor
+    return ns
 
 
 def _density_factor(pressure: np.ndarray) -> np.ndarray:
