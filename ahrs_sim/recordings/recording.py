@@ -28,6 +28,9 @@ from estimators.types import SensorInfo, Site
 _FOREIGN = Gate()
 _UNKNOWN_PLACE = (math.radians(45.0), 0.0, 0.0)
 _NO_FIELD = Site(_UNKNOWN_PLACE).mag_n
+_SELDOM_HZ = 0.9
+"""Rate of an IMU below which nothing can be made of it."""
+
 _METHODS = (("ins21", "gnss"), ("air-ins", "airspeed"), ("hand-ins", "none"))
 """By what there is to aid them: the estimator, and the aiding of a general one in its stead."""
 
@@ -223,6 +226,11 @@ def _looked(
         raise InputError(f"{path}: --skip/--until: no message of {chosen['imu'].topic.name} is left")
     if not len(seen.t):
         raise InputError(f"{path}: {chosen['imu'].topic.name} has no usable message; check stamps and [time] stamps")
+    if not seen.rate >= _SELDOM_HZ:
+        raise InputError(
+            f"{path}: {chosen['imu'].topic.name}: messages come less than once a second, too seldom for an attitude; "
+            "is the unit of their times right? ([csv] time, unit)"
+        )
     notes = [*choosing.described(chosen, clock.duration(source.duration)), *passed, *source.notes]
     notes += clock.notes
     return chosen, seen, clock, notes

@@ -94,7 +94,7 @@ def test_units_of_the_header(tmp_path: Path, moving: Motion) -> None:
     f[["ax", "ay", "az"]] /= 9.80665
     f["time"] = ((f["time"] - EPOCH / 1e9) * 1e3).round(3)
     names = ["time", *(["gx", "gy", "gz"]), *(["ax", "ay", "az"])]
-    units = ["ms", *["deg/s"] * 3, *["g"] * 3]
+    units = ["ms", *["°/s"] * 3, *["g"] * 3]
     bare = MAP.replace(', unit = "s"', "").replace(', unit = "rad/s"', "").replace(', unit = "m/s2"', "")
     f.columns = pd.Index([f"{n} [{u}]" for n, u in zip(names, units, strict=True)])
     f.to_csv(tmp_path / "brackets.csv", index=False)
@@ -108,6 +108,31 @@ def test_units_of_the_header(tmp_path: Path, moving: Motion) -> None:
     f.to_csv(tmp_path / "none.csv", index=False)
     with pytest.raises(InputError, match="unit: missing"):
         samples_of(tmp_path / "none.csv", bare)
+
+
+def test_units_of_the_header_that_are_none(tmp_path: Path, moving: Motion) -> None:
+    """What is known is taken at its word; what is not is named, and never taken for something else in silence."""
+    bare, path, f = MAP.replace(', unit = "s"', ""), tmp_path / "a.csv", frame(moving)
+    seconds = f["time"] - EPOCH / 1e9
+    f.assign(time=seconds / 60).rename(columns={"time": "time (min)"}).to_csv(path, index=False)
+    check(samples_of(path, bare)[0], moving)
+    f.rename(columns={"time": "time (fortnights)"}).to_csv(path, index=False)
+    assert any(
+        "time: 'fortnights' of the header is no unit known here, taken as s" in n for n in samples_of(path, bare)[1]
+    )
+    f.rename(columns={"time": "time (ms)"}).to_csv(path, index=False)
+    assert any("time: unit is s by the map, ms by its header" in note for note in samples_of(path)[1])
+    f.assign(time=seconds * 1e4).to_csv(path, index=False)
+    with pytest.raises(InputError, match=r"less than once a second, too seldom .* is the unit of their times right"):
+        samples_of(path)
+    fixes = '[csv.fix]\nlatitude = {columns = ["lat"]}\nlongitude = {columns = ["lon"]}\naltitude = {columns = ["h"]}\n'
+    (tmp_path / "map.toml").write_text(MAP + fixes)
+    f.assign(lat=LLA[0], lon=LLA[1], **{"h (ft)": 1000.0}).to_csv(path, index=False)
+    with open_bag(path, map_file=tmp_path / "map.toml") as bag:
+        assert bag.site.lla[2] == pytest.approx(304.8)
+    f.assign(lat=LLA[0], lon=LLA[1], **{"h (fathoms)": 1000.0}).to_csv(path, index=False)
+    _, notes = samples_of(path, MAP + fixes)
+    assert any("h: 'fathoms' of the header is no unit known here, taken as m" in note for note in notes)
 
 
 @pytest.mark.parametrize(

@@ -75,6 +75,8 @@ _DIMENSIONS = {
 _FEWEST_TIMES = 0.5
 """Share of the rows of an IMU that must have a time of their own."""
 
+_TIMES = ("s", "ms", "us", "ns", "min", "h")
+
 CSV_KEYS = ("separator", "decimal", "encoding", "comment", "skip_rows", "file", "time")
 
 
@@ -194,6 +196,9 @@ class Csv(Held):
         stated = {file.units[p] for p in places if p >= 0} & set(_DIMENSIONS.get(dimension, ()))
         header = stated.pop() if len(stated) == 1 else ""
         unit, scale = self._scale(entry, dimension, header)
+        if not header and dimension in ("m", "deg") and not entry.has("unit"):
+            for name in names:
+                file.unit(name, dimension)
         if header and unit and UNITS[header] != UNITS[unit]:
             self._said.append(f"{file.path.name}: {names[0]}: unit is {unit} by the map, {header} by its header")
         signs = np.where([bool(s) for s in entry.value("negative", [False] * size)], -1.0, 1.0)
@@ -291,7 +296,7 @@ def _clock(table: Table, file: TextTable) -> np.ndarray:
     """Time (n,) in ns as the table's `time` describes it; NaN where a row has none."""
     if table.has("week"):
         week, seconds = (file.numbers(table.text(k), table, k) for k in ("week", "seconds"))
-        scale = UNITS[table.choice("unit", ["s", "ms", "us", "ns"], "s")]
+        scale = UNITS[table.choice("unit", _TIMES, file.unit(table.text("seconds"), "s"))]
         good = np.isfinite(week) & np.isfinite(seconds) & (np.abs(week) < 1e6)
         out = np.full(len(week), np.nan)
         ns = from_gps(week[good], scale * seconds[good])
@@ -302,9 +307,12 @@ def _clock(table: Table, file: TextTable) -> np.ndarray:
     name = table.text("column")
     if table.has("format") or (file.place(name) >= 0 and _is_date(file, name)):
         return _dated(file, name, table)
-    unit = table.value("unit", None) or (file.units[file.place(name)] if file.place(name) >= 0 else "") or "s"
-    if not isinstance(unit, (int, float)) and unit not in ("s", "ms", "us", "ns", "iso"):
-        raise table.error("unit", f"{unit!r} is none of s, ms, us, ns, a number of seconds")
+    unit = table.value("unit", None) or file.unit(name, "s")
+    if not isinstance(unit, (int, float)) and unit not in _TIMES:
+        raise table.error("unit", f"{unit!r} is none of {', '.join(_TIMES)}, a number of seconds")
+    header = file.units[file.place(name)] if file.place(name) >= 0 else ""
+    if header in _TIMES and unit in _TIMES and unit != header:
+        file.notes.append(f"{file.path.name}: {name}: unit is {unit} by the map, {header} by its header")
     values = file.numbers(name, table, "column")
     if table.has("wraps_at"):  # a counter that starts anew
         wrap = table.number("wraps_at", above=0.0)

@@ -16,12 +16,14 @@ from ahrs_sim.scenario.table import Table
 
 _SPELT = {
     "us": "us", "usec": "us", "µs": "us", "ms": "ms", "msec": "ms", "ns": "ns", "nsec": "ns", "s": "s", "sec": "s",
+    "seconds": "s", "min": "min", "minutes": "min", "h": "h", "hours": "h",
     "rads1": "rad/s", "rads": "rad/s", "rad/s": "rad/s", "rads^-1": "rad/s", "radians/second": "rad/s",
     "deg/s": "deg/s", "°/s": "deg/s", "dps": "deg/s", "degs^-1": "deg/s", "degrees/second": "deg/s",
     "m/s^2": "m/s2", "m/s2": "m/s2", "m/s²": "m/s2", "ms^-2": "m/s2", "ms-2": "m/s2", "g": "g", "mg": "mg",
     "µt": "uT", "ut": "uT", "nt": "nT", "t": "T", "gauss": "G", "mgauss": "mG", "deg": "deg", "°": "deg",
     "degrees": "deg", "rad": "rad", "radians": "rad", "m": "m", "meters": "m", "m/s": "m/s", "ms-1": "m/s",
-    "ms^-1": "m/s", "hpa": "hPa", "pa": "Pa", "pascal": "Pa", "mbar": "mbar", "kpa": "kPa", "km/h": "km/h",
+    "ms^-1": "m/s", "ft": "ft", "feet": "ft", "kt": "kt", "kts": "kt", "knots": "kt",
+    "hpa": "hPa", "pa": "Pa", "pascal": "Pa", "mbar": "mbar", "kpa": "kPa", "km/h": "km/h",
 }  # fmt: skip
 """Units as headers spell them, in small letters without blanks, dots and stars."""
 
@@ -38,6 +40,7 @@ class TextTable:
     frame: Any  # pandas
     units: list[str]  # by column, "" where the header says nothing
     first_row: int  # line of the first data row, from 1
+    unknown: list[str] = field(default_factory=list)  # by column, what stands for a unit in the header and is none here
     notes: list[str] = field(default_factory=list)
 
     def place(self, name: str) -> int:
@@ -53,6 +56,18 @@ class TextTable:
             if found:
                 return found[0]
         return -1
+
+    def unit(self, name: str, fallback: str) -> str:
+        """Find the unit of a column in the header; `fallback` without one, noted where the header has another."""
+        i = self.place(name)
+        if i >= 0 and self.units[i]:
+            return self.units[i]
+        if i >= 0 and i < len(self.unknown) and self.unknown[i]:
+            self.notes.append(
+                f"{self.path.name}: {name}: '{self.unknown[i]}' of the header is no unit known here, "
+                f"taken as {fallback} (unit = ... in the map)"
+            )
+        return fallback
 
     def numbers(self, name: str, table: Table, key: str = "columns") -> np.ndarray:
         """A column (n,) as numbers, NaN where there is none; what is no number is counted."""
@@ -108,7 +123,7 @@ def read_file(path: Path, keys: Mapping[str, Any], where: str) -> TextTable:
     head, start, separator, second = _header(path, text, skip, keys.get("separator"), comment)
     body = text[start:]
     decimal = keys.get("decimal") or _decimal(body, separator)
-    names, units = _named(head, second)
+    names, units, unknown = _named(head, second)
     sep = r"\s+" if separator == " " else separator
     bad: list[int] = []
 
@@ -131,7 +146,7 @@ def read_file(path: Path, keys: Mapping[str, Any], where: str) -> TextTable:
         notes.append(f"{path.name}: {len(bad)} rows with too many cells left out")
     if not len(frame):
         raise InputError(f"{path}: no CSV: no rows under its header")
-    return TextTable(path, frame, units, 1 + text[:start].count("\n"), notes)
+    return TextTable(path, frame, units, 1 + text[:start].count("\n"), unknown, notes)
 
 
 def header_of(path: Path) -> TextTable | None:
@@ -145,7 +160,7 @@ def header_of(path: Path) -> TextTable | None:
         head, _, _, second = _header(path, text, 0, None, None)
     except (OSError, InputError):
         return None
-    names, units = _named(head, second)
+    names, units, _ = _named(head, second)
     return TextTable(path, pandas.DataFrame(columns=names), units, 1)
 
 
@@ -255,19 +270,21 @@ def _some_number(cells: Sequence[str]) -> bool:
     return any(_is_number(c) or ISO_DATE.match(c) for c in cells)
 
 
-def _named(head: Sequence[str], second: Sequence[str] | None) -> tuple[list[str], list[str]]:
-    """Names of the columns, made different, and the units in them or in the line below."""
+def _named(head: Sequence[str], second: Sequence[str] | None) -> tuple[list[str], list[str], list[str]]:
+    """Names of the columns, made different, units in them or in the line below, and what stands there that is none."""
     names: list[str] = []
-    units = []
+    units: list[str] = []
+    unknown = []
     for i, cell in enumerate(head):
         name = cell or f"column {i + 1}"
         names.append(name if name not in names else f"{name}.{names.count(name)}.{i}")
         below = second[i].strip("[]() ") if second and i < len(second) else ""
         match = _BRACKETS.search(cell)
         units.append(_unit(below) or (_unit(match[1]) if match else ""))
-    return names, units
+        unknown.append("" if units[-1] else below or (match[1] if match else ""))
+    return names, units, unknown
 
 
 def _unit(text: str) -> str:
-    spelt = re.sub(r"[\s.*·]", "", text).lower()
+    spelt = re.sub(r"[\s.*·]", "", text).lower().replace("\N{GREEK SMALL LETTER MU}", "\N{MICRO SIGN}")
     return _SPELT.get(spelt, "")
