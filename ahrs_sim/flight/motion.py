@@ -10,6 +10,7 @@ from the velocity.
     kind = "line"         # straight ahead, speeding up and braking
     kind = "road"         # a car: laps of a running track, or a country road
     kind = "weave"        # an aircraft: level coordinated turns to and fro
+    kind = "hover"        # a multirotor over one spot in gusts
 """
 
 # ruff: noqa: D102  (`Motion` documents the methods which every class below defines)
@@ -121,6 +122,10 @@ class Motion:
     def velocity(self, t: Jet) -> tuple[Jet, Jet, Jet]:
         """North, east, down (m/s)."""
         return jet(0.0), jet(0.0), jet(0.0)
+
+    def motor(self, t: Jet) -> tuple[np.ndarray, np.ndarray]:
+        """Throttle (0 to 1) and speed (rpm), each (n,): no motor."""
+        return np.zeros_like(t.x), np.zeros_like(t.x)
 
 
 class Constant(Motion):
@@ -306,9 +311,10 @@ class Road(Motion):
 class Weave(Motion):
     """An aircraft that stands, speeds up and then banks to and fro in level coordinated flight, without wind.
 
-    `still_s` (60) of standing, `speed_mps` (25) reached at 1.5 m/s2 on average, then a turn there and back again within
-    `period_s` (60) at banks of about `bank_deg` (30), and `straight_s` (0) along the start's heading, `swings` times
-    (0: for ever) and straight on. The body points along the velocity: the angle of attack is 0.
+    `still_s` (60) of standing, `speed_mps` (25) reached at `accel_mps2` (1.5) on average, two and a half times that in
+    the middle, then a turn there and back again within `period_s` (60) at banks of about `bank_deg` (30), and
+    `straight_s` (0) along the start's heading, `swings` times (0: for ever) and straight on. The body points along the
+    velocity: the angle of attack is 0.
     """
 
     on_ground = False
@@ -323,7 +329,7 @@ class Weave(Motion):
         self.swings = table.integer("swings", 0, minimum=0) or math.inf
         self.heading = start.heading
         self.gravity = float(gravity_n(np.array([[start.latitude, start.longitude, start.altitude]]))[0, 2])
-        self.faster = self.speed / 1.5  # s
+        self.faster = self.speed / table.number("accel_mps2", 1.5, above=0.0, maximum=50.0)  # s
         self.swing = self.gravity * math.tan(bank) / self.speed * self.period / TAU  # rad
 
     def forward(self, t: Jet) -> Jet:
@@ -349,6 +355,74 @@ class Weave(Motion):
         return speed * cos(heading), speed * sin(heading), jet(0.0)
 
 
+class Hover(Motion):
+    """A multirotor over one spot: no course, no speed, only what gusts make of it.
+
+    After `still_s` (20) of standing its rotors start, it climbs to `height_m` (20) within 10 s and stays. The place
+    wanders by `wander_m` (0.3) rms along each axis, with periods of 4 to 20 s, the heading by `heading_wander_deg` (3).
+    It leans into the wind by `lean_deg` (4, nose down) and by what its accelerations take. `throttle` (0.5) and `rpm`
+    (5500) are those of the hover; both change with the lift and by a tenth with the work of the controller.
+    """
+
+    on_ground = False
+    _SPIN_UP, _CLIMB = 3.0, 10.0  # s
+
+    def __init__(self, table: Table, start: Start, seed: int) -> None:
+        self.still = table.number("still_s", 20.0, minimum=0.0)
+        self.height = table.number("height_m", 20.0, above=0.0, maximum=500.0)
+        wander = table.number("wander_m", 0.3, minimum=0.0, maximum=5.0)
+        turn = math.radians(table.number("heading_wander_deg", 3.0, minimum=0.0, maximum=30.0))
+        self.lean = math.radians(table.number("lean_deg", 4.0, minimum=-30.0, maximum=30.0))
+        self.throttle = table.number("throttle", 0.5, above=0.0, maximum=0.8)
+        self.rpm = table.number("rpm", 5500.0, above=0.0, maximum=50000.0)
+        self.heading = start.heading
+        self.gravity = float(gravity_n(np.array([[start.latitude, start.longitude, start.altitude]]))[0, 2])
+        random = seeds.generator(seed, "hover")
+
+        def lines(rms: float, shortest: float, longest: float) -> list[tuple[float, float, float]]:
+            """Frequency (rad/s), phase and amplitude of six sines that together have this rms."""
+            amplitude = rms * math.sqrt(2.0 / 6.0)
+            return [(TAU / random.uniform(shortest, longest), random.uniform(0.0, TAU), amplitude) for _ in range(6)]
+
+        # velocities of sines of the place: amplitude times frequency
+        self.gusts = [[(w, p, a * w) for w, p, a in lines(wander, 4.0, 20.0)] for _ in range(3)]
+        self.yaw = lines(turn, 8.0, 40.0)
+        self.work = lines(0.1, 0.5, 3.0)
+
+    @staticmethod
+    def _sum(lines: list[tuple[float, float, float]], t: Jet) -> Jet:
+        total = t * 0.0
+        for frequency, phase, amplitude in lines:
+            total = total + sin(t * frequency + phase) * amplitude
+        return total
+
+    def velocity(self, t: Jet) -> tuple[Jet, Jet, Jet]:
+        up = t - (self.still + self._SPIN_UP)
+        airborne = smooth_step(up, self._CLIMB)
+        north, east, down = (airborne * self._sum(lines, t) for lines in self.gusts)
+        return north, east, down - smooth_step(up, self._CLIMB).rate() * self.height
+
+    def attitude(self, t: Jet) -> tuple[Jet, Jet, Jet]:
+        airborne = smooth_step(t - (self.still + self._SPIN_UP), self._CLIMB)
+        heading = airborne * self._sum(self.yaw, t) + self.heading
+        # the lean follows the acceleration, whose own derivatives a jet does not have: from central differences
+        eps = 1e-3
+        roll, pitch = [], []
+        for dt in (-eps, 0.0, eps):
+            north, east, _ = self.velocity(t + dt)
+            course = self._sum(self.yaw, t + dt).x * smooth_step(t + (dt - self.still - self._SPIN_UP), self._CLIMB).x
+            c, s = np.cos(course + self.heading), np.sin(course + self.heading)
+            roll.append(np.arctan((c * east.d - s * north.d) / self.gravity))
+            pitch.append(-np.arctan((c * north.d + s * east.d) / self.gravity))
+        return _differences(roll, eps), _differences(pitch, eps) - airborne * self.lean, heading
+
+    def motor(self, t: Jet) -> tuple[np.ndarray, np.ndarray]:
+        running = smooth_step(t - self.still, self._SPIN_UP).x
+        lift = 1.0 - self.velocity(t)[2].d / self.gravity
+        power = np.clip(running * lift**1.5 * (1.0 + self._sum(self.work, t).x), 0.0, 1.0 / self.throttle)
+        return self.throttle * power, self.rpm * np.cbrt(power)
+
+
 def _differences(values: list[np.ndarray], eps: float) -> Jet:
     before, now, after = values
     return Jet(now, (after - before) / (2.0 * eps), (after - 2.0 * now + before) / eps**2)
@@ -356,7 +430,7 @@ def _differences(values: list[np.ndarray], eps: float) -> Jet:
 
 _AXES = ("roll", "pitch", "heading")
 _TILT = _AXES[:2]
-MOTIONS = ("constant", "sway", "line", "road", "weave")
+MOTIONS = ("constant", "sway", "line", "road", "weave", "hover")
 
 
 class MotionFlight:
@@ -374,8 +448,8 @@ class MotionFlight:
         kind = table.choice("kind", list(MOTIONS))
         start = scenario.start
         self.motion: Motion
-        if kind == "road":
-            self.motion = Road(table, start, scenario.seed)
+        if kind in ("road", "hover"):
+            self.motion = {"road": Road, "hover": Hover}[kind](table, start, scenario.seed)
         else:
             self.motion = {"constant": Constant, "sway": Sway, "line": Line, "weave": Weave}[kind](table, start)
         table.close()
@@ -430,6 +504,7 @@ class MotionFlight:
         air_b = attitude.to_body(q_nb, vel_n - self._wind_n)
         airspeed = np.sqrt(np.sum(air_b**2, axis=1))
         pressure, temperature = standard_atmosphere(lla[:, 2])
+        throttle, rpm = self.motion.motor(now)
         columns = blank(Truth, n)
         columns.update(
             t=t,
@@ -446,8 +521,8 @@ class MotionFlight:
             wind_n=np.tile(self._wind_n, (n, 1)),
             pressure=pressure,
             temperature=temperature,
-            rpm=np.zeros(n),
-            throttle=np.zeros(n),
+            rpm=rpm,
+            throttle=throttle,
             height_agl=lla[:, 2] - self._ground,
             on_ground=np.full(n, self.motion.on_ground),
         )

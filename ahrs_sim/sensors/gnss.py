@@ -117,7 +117,7 @@ class Gnss:
         ]  # fmt: skip
         self.sigma = np.sqrt(f.position_noise**2 + f.position_wander**2)
         self.start_up = fitting.normal("gnss", "start-up", 3) * f.start_up
-        self._lagging: np.ndarray | None = None  # m/s, the receiver's filtered velocity
+        self._lagging: tuple[np.ndarray, np.ndarray] | None = None  # m/s, filtered and true velocity at the last fix
         if f.undeclared > f.latency:
             raise InputError(
                 f"{fitting.where}: [gnss] undeclared: {f.undeclared:g} s is more than the latency of {f.latency:g} s"
@@ -175,16 +175,18 @@ class Gnss:
         }
 
     def _lag(self, vel_n: np.ndarray) -> np.ndarray:
-        """Velocities (m, 3) behind the receiver's own first-order filter."""
-        if not self.figures.velocity_lag > 0.0:
+        """Velocities (m, 3) behind the receiver's own first-order filter, exact for a velocity linear between fixes."""
+        lag = self.figures.velocity_lag
+        if not lag > 0.0:
             return vel_n
-        keep = math.exp(-self.period / self.figures.velocity_lag)
-        state = vel_n[0] if self._lagging is None else self._lagging
+        keep = math.exp(-self.period / lag)
+        before = lag * (1.0 - keep) / self.period - keep  # weight of the velocity at the last fix
+        state, last = (vel_n[0], vel_n[0]) if self._lagging is None else self._lagging
         out = np.empty_like(vel_n)
         for k, now in enumerate(vel_n):
-            state = keep * state + (1.0 - keep) * now
-            out[k] = state
-        self._lagging = state
+            state = keep * state + before * last + (1.0 - keep - before) * now
+            out[k], last = state, now
+        self._lagging = state, last
         return out
 
 

@@ -28,6 +28,7 @@ class ImuFigures:
     rate: float = figure("frequency", 100.0, minimum=0.1)
     jitter: float = figure("time", minimum=0.0)  # samples taken |N(0, jitter)| ahead of their slot, stamped truly
     stamp_jitter: float = figure("time", minimum=0.0)  # 1 sigma error of the stamps
+    lost: float = figure("fraction", minimum=0.0)  # share of the messages that never arrive, one at a time
     warm_up: float = figure("temperature")  # own heat above the air's temperature, once settled
     warm_up_time: float = figure("time", minimum=0.0)  # time constant
 
@@ -53,6 +54,7 @@ class Imu:
         cutoffs = self.gyro.band.cutoff, self.accel.band.cutoff
         self._vibration = Vibration(motor, gyro, accel, cutoffs, fitting, every)
         self._clock_noise = fitting.stream("imu", "clock")
+        self._losses = fitting.stream("imu", "lost")
         self._heat = Lag(f.warm_up_time, self.period)
         self._cold: float | None = None  # K, at switch-on
         self._buffer = LatencyBuffer(ImuRecord, fitting.channel("gyro"), 0.0)
@@ -110,8 +112,11 @@ class Imu:
             truth.rate_ib_b, rows, slot, extra, shake[:, :3], force, rms2, warmth
         )
         stamp_ns, arrival_ns = nanoseconds(stamp), nanoseconds(slot)
-        values = ImuRecord(stamp_ns, arrival_ns, gyro, accel, clipped | over, temperature)
-        errors = ImuErrorsRecord(stamp_ns, arrival_ns, gyro_bias, accel_bias, gyro_effective, accel_effective)
+        values: Any = ImuRecord(stamp_ns, arrival_ns, gyro, accel, clipped | over, temperature)
+        errors: Any = ImuErrorsRecord(stamp_ns, arrival_ns, gyro_bias, accel_bias, gyro_effective, accel_effective)
+        if self.figures.lost > 0.0:
+            sent = self._losses.random(m) >= self.figures.lost
+            values, errors, slot = values[sent], errors[sent], slot[sent]
         return {"imu": self._buffer.push(values, slot, now), "imu_errors": self._errors.push(errors, slot, now)}
 
     def _temperature(self, air: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

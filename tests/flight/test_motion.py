@@ -19,6 +19,7 @@ MOTIONS = [
     {"kind": "road", "still_s": 5.0},
     {"kind": "road", "still_s": 5.0, "road": "country"},
     {"kind": "weave", "still_s": 2.0, "speed_mps": 20.0, "period_s": 20.0, "swings": 1},
+    {"kind": "hover", "still_s": 2.0, "height_m": 5.0},
 ]
 
 
