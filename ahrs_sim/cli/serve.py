@@ -25,6 +25,9 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument("--protocol", metavar="NAME", help="mavlink, vectornav, sbg or ubx+nmea")
     command.add_argument("--rate", type=positive, default=1.0, metavar="X", help="multiple of real time")
     command.add_argument(
+        "--wait", type=positive, default=600.0, metavar="S", help="longest wait for the unit or autopilot, s (600)"
+    )
+    command.add_argument(
         "--simulator", choices=["px4", "ardupilot"], help="simulate for this autopilot instead of a wire"
     )
     command.add_argument("--port", type=natural, metavar="N", help="port that the autopilot connects to (4560; 9002)")
@@ -66,9 +69,12 @@ def run(arguments: argparse.Namespace) -> None:
     stop: list[int] = []
     make = _autopilot if arguments.simulator else _unit
     unit = make(arguments, name, suite, scenario.epoch_ns, lambda: bool(stop))
-    print(f"ahrs-sim: waiting for the {arguments.simulator or 'unit'} at {unit.where}", file=sys.stderr, flush=True)
+    awaited = arguments.simulator or "unit"
+    print(f"ahrs-sim: waiting for the {awaited} at {unit.where}", file=sys.stderr, flush=True)
     try:
-        unit.wait()
+        if not unit.wait(arguments.wait):
+            late = f"no {awaited} at {unit.where} after {arguments.wait:g} s"
+            raise InputError(f"serve: {late}; start it, or --wait longer")
         fly.carry_out(arguments, scenario, output, stop, block_s=BLOCK_S, unit=unit)
     finally:
         unit.close()

@@ -56,8 +56,8 @@ class Autopilot:
         """Return the address that the autopilot connects to."""
         raise NotImplementedError
 
-    def wait(self) -> bool:
-        """Wait until the autopilot is there; False when stopped first."""
+    def wait(self, seconds: float) -> bool:
+        """Wait until the autopilot is there; False after so many seconds without it, or when stopped first."""
         raise NotImplementedError
 
     def _step(self, reading: Reading, truth: Truth) -> None:
@@ -147,9 +147,10 @@ class Px4(Autopilot):
         """Return the address that PX4 connects to."""
         return self._link.name
 
-    def wait(self) -> bool:
-        """Wait until PX4 has connected; False when stopped first."""
-        return self._link.wait(self._stopped)
+    def wait(self, seconds: float) -> bool:
+        """Wait until PX4 has connected; False after so many seconds without it, or when stopped first."""
+        until = time.monotonic() + seconds
+        return self._link.wait(lambda: self._stopped() or time.monotonic() > until)
 
     def _step(self, reading: Reading, truth: Truth) -> None:
         data = self._wire.pack("HIL_SENSOR", reading.t_ns // 1000, *sensors(reading), 0)
@@ -231,10 +232,11 @@ class ArduPilot(Autopilot):
         """Return the address that ArduPilot sends its servo outputs to."""
         return f"udp:{self._servos.getsockname()[1]}"
 
-    def wait(self) -> bool:
-        """Wait until servos have come, and MAVLink is connected; False when stopped first."""
+    def wait(self, seconds: float) -> bool:
+        """Wait until servos have come, and MAVLink is connected; False after so many seconds, or when stopped first."""
+        until = time.monotonic() + seconds
         while self._call is None or self._mavlink is None:
-            if self._stopped():
+            if self._stopped() or time.monotonic() > until:
                 return False
             if self._mavlink is None:
                 with contextlib.suppress(OSError):

@@ -69,9 +69,10 @@ class Unit:
         """Return the address or device that the unit opens."""
         return self._link.name
 
-    def wait(self) -> bool:
-        """Wait until the unit is there; False when stopped first."""
-        return self._link.wait(self._stopped)
+    def wait(self, seconds: float) -> bool:
+        """Wait until the unit is there; False after so many seconds without it, or when stopped first."""
+        until = time.monotonic() + seconds
+        return self._link.wait(lambda: self._stopped() or time.monotonic() > until)
 
     def exchange(self, truth: Truth, records: SuiteBlock, samples: Samples) -> Answers:
         """Send the readings of a block, each in its time; return the answers that have come."""

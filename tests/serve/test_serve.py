@@ -211,6 +211,34 @@ def test_a_wire_or_protocol_that_is_none_is_one_line(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("options", "awaited"),
+    [
+        (["--serial", "tcp:0", "--protocol", "sbg"], r"unit at tcp:\d+"),
+        (["--serial", "pty", "--protocol", "sbg"], r"unit at /dev/\S+"),
+        (["--simulator", "px4", "--port", "0", "--mavlink", "0"], r"px4 at \S+"),
+        (["--simulator", "ardupilot", "--port", "0", "--mavlink", "0"], r"ardupilot at udp:\d+"),
+    ],
+)
+def test_a_unit_that_never_comes_is_one_line(
+    tmp_path: Path, options: list[str], awaited: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "x.mcap"
+    assert cli.main(["serve", "takeoff", *options, "--wait", "0.3", "-o", str(log)]) == 2
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert re.fullmatch(rf"ahrs-sim: serve: no {awaited} after 0.3 s; start it, or --wait longer", line)
+    assert not log.exists()
+
+
+def test_a_unit_that_leaves_before_the_first_sample_ends_the_flight(tmp_path: Path) -> None:
+    path, log = prepare(tmp_path, "mavlink"), tmp_path / "x.mcap"
+    with served(path, "--serial", "tcp:0", "--protocol", "mavlink", "-o", str(log)) as (process, port):
+        socket.create_connection(("127.0.0.1", int(port))).close()
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 1 and err.count("\n") == 1
+    assert re.search(r"tcp:\d+: link lost at 0\.\d s of flight \(.*\); the log is complete up to there", err)
+
+
 def test_names_and_suites_that_do_not_fit_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     command = ["serve", "takeoff", "--serial", "pty", "--protocol", "mavlink", "-o", "none.mcap"]
     assert cli.main([*command, "--suite", "cher"]) == 2
