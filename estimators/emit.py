@@ -21,8 +21,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from estimators import emit_costs as costs
 from estimators.errors import SettingError
-from estimators.types import SensorInfo, Site
+from estimators.records import pack
+from estimators.types import Samples, SensorInfo, Site
 
 
 class Target(NamedTuple):
@@ -33,11 +37,14 @@ class Target(NamedTuple):
     features: str = ""
     abi: str = ""
     relocation: str = "static"
+    model: str = "default"
+    return_address: int = 0  # bytes that a call puts on the stack outside of the frames
+    red_zone: int = 0  # bytes below the stack that a function may use which calls none
     has_sqrt: bool = True  # an instruction for the square root of a double
 
 
 TARGETS = {
-    "x86_64-linux": Target("x86_64-unknown-linux-gnu", relocation="pic"),
+    "x86_64-linux": Target("x86_64-unknown-linux-gnu", relocation="pic", return_address=8, red_zone=128),
     "aarch64-linux": Target("aarch64-unknown-linux-gnu", relocation="pic"),
     "cortex-m4f": Target("thumbv7em-unknown-none-eabihf", "cortex-m4", has_sqrt=False),
     "cortex-m7": Target("thumbv7em-unknown-none-eabihf", "cortex-m7", "+fp-armv8d16"),
@@ -66,6 +73,8 @@ class Emitted:
     code: bytes  # object file
     blocks: Mapping[str, Block]
     text: int  # bytes of instructions and constants
+    stack: int  # bytes at most
+    operations: tuple[float, int] | None  # of doubles in a row of samples, mean and most; None: not counted
 
     @property
     def memory(self) -> int:
@@ -79,9 +88,18 @@ class Emitted:
 
 
 def emit(
-    name: str, settings: Mapping[str, Any], site: Site, sensors: SensorInfo, targets: Iterable[str]
-) -> dict[str, Emitted]:
+    name: str, settings: Mapping[str, Any], site: Site, sensors: SensorInfo, targets: Iterable[str],
+    exercise: Samples | None = None,
+) -> dict[str, Emitted]:  # fmt: skip
     """Compile a method with these settings for some of `TARGETS`; what there is by target.
+
+    Args:
+        name: of the method.
+        settings: those that differ from its defaults.
+        site: place and field of `exercise`, else any.
+        sensors: data sheet figures.
+        targets: names of `TARGETS`.
+        exercise: samples that the code is run on here, to count operations from its alignment on.
 
     Raises:
         SettingError: a method that is no filter on a model of the catalogue.
@@ -100,8 +118,15 @@ def emit(
             "NUMBA_SLP_VECTORIZE": "0", "NUMBA_DISABLE_JIT": "0", "AHRS_SIM_ROW": str(made.row_length()),
             "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]),
         }  # fmt: skip
-        task = {"name": name, "settings": dict(settings), "site": asdict(site), "sensors": asdict(sensors)}
-        task |= {"targets": list(targets), "folder": folder}
+        task: dict[str, Any] = {
+            "name": name,
+            "settings": dict(settings),
+            "site": asdict(site),
+            "sensors": asdict(sensors),
+        }
+        task |= {"targets": list(targets), "folder": folder, "exercised": exercise is not None}
+        if exercise is not None:
+            pack(exercise).tofile(Path(folder) / "exercise")
         command = [sys.executable, "-W", "ignore", "-c", "from estimators.emit import _main; _main()"]
         ran = subprocess.run(command, input=json.dumps(task), env=environment, capture_output=True, text=True)
         if ran.returncode != 0:
@@ -112,7 +137,8 @@ def emit(
         key: Block(b["size"], bytes.fromhex(b["image"]), {int(k): v for k, v in b["addresses"].items()}, b["constant"])
         for key, b in found["blocks"].items()
     }
-    return {target: Emitted(code, blocks, _size(code)) for target, code in codes.items()}
+    operations = found["operations"] and tuple(found["operations"])
+    return {t: Emitted(code, blocks, _size(code), found["stack"][t], operations) for t, code in codes.items()}
 
 
 # In the process of its own
@@ -133,16 +159,34 @@ def _main() -> None:
     native.compiled = collected
     estimator = _estimator(task)
     model, parts, instance = estimator.assemble()
-    blocks = _blocks({**parts, **estimator.inner_parts(model), "instance": instance}, list(kernels))
+    records = {**parts, **estimator.inner_parts(model), "instance": instance}
+    blocks = _blocks(records, list(kernels))
     blocks["work"] = Block(estimator.work_size(), b"", {})
-    folder = Path(task["folder"])
+    folder, stack = Path(task["folder"]), {}
     for target in task["targets"]:
-        (folder / f"{target}.o").write_bytes(_linked(kernels, TARGETS[target]))
+        code, stack[target] = _object(kernels, TARGETS[target], blocks)
+        (folder / f"{target}.o").write_bytes(code)
     described = {
         name: {"size": b.size, "image": b.image.hex(), "addresses": dict(b.addresses), "constant": b.constant}
         for name, b in blocks.items()
     }
-    (folder / "blocks.json").write_text(json.dumps({"blocks": described}))
+    operations = _operations(kernels, records, blocks, folder / "exercise") if task["exercised"] else None
+    (folder / "blocks.json").write_text(json.dumps({"blocks": described, "stack": stack, "operations": operations}))
+
+
+def _operations(
+    kernels: Mapping[str, tuple[str, str]], records: Mapping[str, Any], blocks: Mapping[str, Block], exercise: Path
+) -> tuple[float, int]:
+    """Operations of doubles in a row of samples once the method is aligned, mean and most."""
+    from llvmlite import binding as llvm  # type: ignore[import-untyped]
+
+    from estimators.records import SAMPLE
+
+    here = Target(llvm.get_process_triple(), relocation="default", model="jitdefault")
+    whole, machine = _optimised(kernels, here)
+    rows = np.fromfile(exercise, SAMPLE)
+    found = costs.operations(costs.counting(str(whole)), machine, records, blocks, rows, PREFIX)
+    return float(found.mean()), int(found.max())
 
 
 def _estimator(task: Mapping[str, Any]) -> Any:
@@ -167,8 +211,6 @@ def _blocks(records: Mapping[str, Any], kernels: list[str]) -> dict[str, Block]:
 
 
 def _block(name: str, data: Any, known: Mapping[int, str], kernels: list[str]) -> Block:
-    import numpy as np
-
     image, addresses = bytearray(data.tobytes()), {}
     for offset in range(0, len(image) - len(image) % 8, 8) if name in _POINTING else ():
         value = int(np.frombuffer(image, np.int64, 1, offset)[0])
@@ -188,9 +230,18 @@ _CONSTANT = ("blank",)
 _SET_BY_KERNELS = ("stretch", "memory", "parameters", "policy_parameters", "site", "sensors")
 
 
-def _linked(kernels: Mapping[str, tuple[str, str]], target: Target) -> bytes:
-    """Link intermediate code and compile it for the target; an object file."""
-    from llvmlite import binding as llvm  # type: ignore[import-untyped]
+def _object(kernels: Mapping[str, tuple[str, str]], target: Target, blocks: Mapping[str, Block]) -> tuple[bytes, int]:
+    """Compile intermediate code for the target: an object file, and the most bytes of stack."""
+    whole, machine = _optimised(kernels, target)
+    with costs.frames() as sizes:
+        made: bytes = machine.emit_object(whole)
+    deepest = costs.stack(str(whole), sizes, blocks, PREFIX, target.return_address)
+    return made, deepest + target.red_zone
+
+
+def _optimised(kernels: Mapping[str, tuple[str, str]], target: Target) -> tuple[Any, Any]:
+    """Link and optimise intermediate code for a target: LLVM's module and target machine."""
+    from llvmlite import binding as llvm
 
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
@@ -199,7 +250,7 @@ def _linked(kernels: Mapping[str, tuple[str, str]], target: Target) -> bytes:
         features=target.features,
         opt=2,
         reloc=target.relocation,
-        codemodel="default",
+        codemodel=target.model,
         abiname=target.abi,
     )
     whole = llvm.parse_assembly(_NO_PYTHON + ("" if target.has_sqrt else _SQRT))
@@ -208,16 +259,27 @@ def _linked(kernels: Mapping[str, tuple[str, str]], target: Target) -> bytes:
         module.get_function(symbol).name = PREFIX + entry
         whole.link_in(module)
     whole.triple, whole.data_layout = target.triple, str(machine.target_data)
-    for value in (*whole.functions, *whole.global_variables):
-        if not value.is_declaration:
-            value.linkage = "external" if value.name.startswith(PREFIX) else "internal"
+    for number, value in enumerate((*whole.functions, *whole.global_variables)):
+        if not value.is_declaration and not value.name.startswith(PREFIX):
+            value.linkage, value.name = "internal", f"inner.{number}"
+        elif not value.is_declaration:
+            value.linkage = "external"
     whole.verify()
     options = llvm.create_pipeline_tuning_options(speed_level=2)
     options.loop_vectorization = options.slp_vectorization = False
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(whole, builder)
-    made: bytes = machine.emit_object(whole)
-    return made
+    foreign = {f.name for f in whole.functions if f.is_declaration and _FOREIGN.match(f.name)}
+    foreign -= {"llvm.sqrt.f64"} if target.has_sqrt else set()
+    if foreign:
+        raise RuntimeError(f"kernels call {', '.join(foreign)}, which differ between C libraries")
+    return whole, machine
+
+
+_FOREIGN = re.compile(
+    rf"(?!llvm\.|{PREFIX}|memset$)|llvm\.(sqrt|pow|exp|log|sin|cos|tan|floor|ceil|trunc|rint|round|fma)"
+)
+"""Functions that code must not call: of a C library, or intrinsic ones that some machines have from there."""
 
 
 def _size(code: bytes) -> int:
@@ -232,7 +294,7 @@ def _portable(code: str, target: Target, layout: str) -> str:
     """Intermediate code without what belongs to the machine that Numba ran on."""
     code = re.sub(r"^target (triple|datalayout) = .*$", "", code, flags=re.MULTILINE)
     code = f'target datalayout = "{layout}"\ntarget triple = "{target.triple}"\n{code}'
-    code = re.sub(r'"target-(cpu|features)"="[^"]*"', "", code)
+    code = costs.watched(re.sub(r'"target-(cpu|features)"="[^"]*"', "", code))
     return re.sub(r"@(llvm\.sqrt\.f64|sqrt)\b", "@llvm.sqrt.f64" if target.has_sqrt else "@root", code)
 
 

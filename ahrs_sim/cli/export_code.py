@@ -21,9 +21,14 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     return command
 
 
-def add_choice(command: argparse.ArgumentParser) -> None:
+def add_choice(command: argparse.ArgumentParser, optional: bool = False) -> None:
     """Add what says which estimator, for which sensors."""
-    command.add_argument("method", metavar="METHOD", help="a method of the catalogue (ahrs-sim list estimators)")
+    command.add_argument(
+        "method",
+        nargs="?" if optional else None,
+        metavar="METHOD",
+        help="a method of the catalogue (ahrs-sim list estimators)",
+    )
     command.add_argument(
         "--suite", default="chr", metavar="NAME", help="suite whose data sheet is built in (default: chr)"
     )
@@ -53,5 +58,6 @@ def run(arguments: argparse.Namespace) -> None:
         print(path)
     print(
         f"{arguments.method} for {arguments.target}: {made.text / 1000:.1f} kB of code, "
-        f"{made.constant / 1000:.1f} kB of constants, {made.memory / 1000:.1f} kB of static memory"
+        f"{made.constant / 1000:.1f} kB of constants, {made.memory / 1000:.1f} kB of static memory, "
+        f"at most {made.stack / 1000:.1f} kB of stack"
     )

@@ -1,7 +1,7 @@
 """Write an estimator of the catalogue as a folder: kernels as object code, a wrapper in C, a Makefile, a README."""
 
 import dataclasses
-import datetime
+import platform
 from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -12,6 +12,8 @@ import numpy as np
 import estimators
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.plugins import layout
+from ahrs_sim.plugins.exercise import swinging
+from ahrs_sim.scenario import Component, Scenario
 from estimators.emit import PREFIX, TARGETS, Emitted, emit
 from estimators.settings import Setting
 from estimators.types import SensorInfo
@@ -59,21 +61,32 @@ def parsed(known: Mapping[str, Setting], given: Iterable[str]) -> dict[str, Any]
     return settings
 
 
-def suite_info(suite: str, scenario: str) -> SensorInfo:
-    """Return the data-sheet figures of a scenario's suite.
+def suite_component(suite: str, scenario: str) -> tuple[Scenario, Component]:
+    """Find a scenario and its `[suite.NAME]` table.
 
     Raises:
         InputError: no such scenario or suite.
     """
     from ahrs_sim import scenario as scenarios
     from ahrs_sim.scenario.code import Gate
-    from ahrs_sim.sensors import make_suite
 
-    suites = {component.name: component for component in scenarios.load(scenario, gate=Gate()).suites}
+    made = scenarios.load(scenario, gate=Gate())
+    suites = {component.name: component for component in made.suites}
     if suite not in suites:
         raise InputError(f"--suite {suite}: {scenario} has no such suite{nearest(suite, suites)}")
-    epoch = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC)
-    return make_suite(suites[suite], seed=0, dt=0.0025, epoch=epoch, start_lla=np.zeros(3)).info
+    return made, suites[suite]
+
+
+def suite_info(suite: str, scenario: str) -> SensorInfo:
+    """Return the data-sheet figures of a scenario's suite.
+
+    Raises:
+        InputError: no such scenario or suite.
+    """
+    from ahrs_sim.sensors import make_suite
+
+    made, component = suite_component(suite, scenario)
+    return make_suite(component, seed=0, dt=0.0025, epoch=made.epoch, start_lla=np.zeros(3)).info
 
 
 def export(
@@ -95,7 +108,8 @@ def export(
     """
     if folder.exists():
         raise InputError(f"{folder}: exists; choose another -o")
-    emitted = emit(name, settings, estimators.Site((0.0, 0.0, 0.0)), sensors, [target])[target]
+    exercise, place = swinging()
+    emitted = emit(name, settings, place, sensors, [target], exercise)[target]
     write(name, settings, suite, sensors, target, emitted, folder)
     return emitted
 
@@ -143,7 +157,9 @@ def _texts(
         "VERSION": version("ahrs-sim"), "NUMBA": numba.__version__, "LLVMLITE": llvmlite.__version__,
         "LLVM": ".".join(map(str, binding.llvm_version_info)), "TRIPLE": machine.triple,
         "CPU": f", {machine.cpu}" if machine.cpu else "", "CODE": str(emitted.text),
-        "CONSTANT": str(emitted.constant), "MEMORY": str(emitted.memory), "NEEDS": "`memset`",
+        "CONSTANT": str(emitted.constant), "MEMORY": str(emitted.memory), "STACK": str(emitted.stack),
+        "WORK": "not counted" if emitted.operations is None else "{:.0f}, at most {}".format(*emitted.operations),
+        "NEEDS": "`memset`", "NUMPY": np.__version__, "PYTHON": platform.python_version(),
         "GOAL": _GOALS.get(target, "lib{}.a").format(as_name), "CFLAGS": _FLAGS[target],
         "SETTINGS": "\n".join(f"    {line}" for line in lines),
     }  # fmt: skip

@@ -15,6 +15,8 @@ is reproduced exactly: so only the components that the model declares are evalua
 that states on a manifold need nothing more.
 """
 
+import math
+
 import numpy as np
 
 from estimators.filters import moments
@@ -42,7 +44,7 @@ class Parameters(Record):
 def rule(method: Parameters, n: int) -> tuple[float, float, float]:
     """`(h, even, square)` of a filter for a state of n components."""
     h2 = method.growth * n + method.interval2
-    return h2**0.5, (h2 - method.less) / (4.0 * h2 * h2), method.square
+    return math.sqrt(h2), (h2 - method.less) / (4.0 * h2 * h2), method.square
 
 
 @inner

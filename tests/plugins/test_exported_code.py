@@ -1,9 +1,11 @@
 """Exported code against Python: the same bytes from a shared library, from WebAssembly in Node, and on a Cortex-M."""
 
+import functools
 import importlib.util
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -12,13 +14,19 @@ import numpy as np
 import pytest
 
 import estimators
+from ahrs_sim import pipeline, scenario
 from ahrs_sim.cli import main
 from ahrs_sim.plugins import export, layout
+from ahrs_sim.plugins.exercise import swinging
 from ahrs_sim.plugins.library import FmuEstimator, LibraryEstimator
+from ahrs_sim.runs import log_tuning
+from ahrs_sim.runs.log_tuning import Recorded
+from ahrs_sim.scenario.code import Gate
 from estimators import SensorInfo
 from estimators.emit import Emitted, emit
 
 SENSORS = SensorInfo(gyro_delay=0.005, accel_delay=0.008, mag_delay=0.02, antenna_b=(0.5, 0.1, -1.0), gnss_pos=2.0)
+RUN_ELSEWHERE = ["marg-ekf", "marg-ckf", "sekf", "ins21"]
 EXPORTED = [m.name for m in estimators.describe() if m.own and m.name != "ins-cal"]
 
 
@@ -33,7 +41,7 @@ def _benchmark() -> ModuleType:
 
 
 bench = _benchmark()
-BLOCK, SITE = bench.samples()
+BLOCK, SITE = swinging()
 
 
 def same(block: Any, other: Any) -> bool:
@@ -88,34 +96,59 @@ def test_settings_go_with_it_and_the_example_runs(tmp_path: Path, capsys: pytest
     assert "aiding = airspeed" in (folder / "README.md").read_text()
 
 
+@pytest.fixture(scope="module")
+def minute(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    """What the sensors of a flown minute say: standing, take-off, climb."""
+    log = tmp_path_factory.mktemp("flown") / "minute.mcap"
+    pipeline.fly(scenario.load("takeoff", duration=60.0, estimators=["ekf-chr"]), log)
+    return log_tuning.read(log, "ekf-chr", gate=Gate())
+
+
+@pytest.fixture(scope="module")
+def emitted(minute: Recorded) -> Callable[[str], dict[str, Emitted]]:
+    """Code of a method for all machines that are run here."""
+    return functools.cache(lambda method: emit(method, {}, minute.site, minute.sensors, ("wasm32", *bench.CORES)))
+
+
+def in_python(method: str, minute: Recorded) -> bytes:
+    made = estimators.create(method, site=minute.site, sensors=minute.sensors).process(minute.samples)
+    assert (made.status != estimators.Status.ALIGNING).mean() > 0.5
+    return bytes_of(made)
+
+
+def bytes_of(made: Any) -> bytes:
+    return b"".join(np.ascontiguousarray(getattr(made, name)).tobytes() for name in made.__match_args__)
+
+
 @pytest.mark.long
 @pytest.mark.skipif(not bench.available("ziglang") or shutil.which("node") is None, reason="no ziglang, or no Node")
-def test_webassembly_gives_the_bytes_of_python(tmp_path: Path, marg_ekf: dict[str, Emitted]) -> None:
+@pytest.mark.parametrize("method", RUN_ELSEWHERE)
+def test_webassembly_gives_the_bytes_of_python(
+    tmp_path: Path, minute: Recorded, emitted: Callable[[str], dict[str, Emitted]], method: str
+) -> None:
     folder = tmp_path / "code"
-    export.write("marg-ekf", {}, "chr", SENSORS, "wasm32", marg_ekf["wasm32"], folder)
-    module = bench.link(folder, "marg_ekf", "wasm32")
-    (tmp_path / "known").write_bytes(layout.constants(SITE) + layout.constants(SENSORS))
-    (tmp_path / "samples").write_bytes(bench.rows_of(BLOCK).tobytes())
+    export.write(method, {}, "chr", minute.sensors, "wasm32", emitted(method)["wasm32"], folder)
+    module = bench.link(folder, method.replace("-", "_"), "wasm32")
+    (tmp_path / "known").write_bytes(layout.constants(minute.site) + layout.constants(minute.sensors))
+    (tmp_path / "samples").write_bytes(bench.rows_of(minute.samples).tobytes())
     files = [str(tmp_path / name) for name in ("known", "samples", "out")]
-    sizes = [str(layout.SAMPLE.itemsize), str(layout.ESTIMATE.itemsize), str(len(layout.constants(SITE)))]
+    sizes = [str(layout.SAMPLE.itemsize), str(layout.ESTIMATE.itemsize), str(len(layout.constants(minute.site)))]
     subprocess.run(["node", Path(__file__).parent / "run_wasm.mjs", module, *files, *sizes], check=True)
-    assert same(_read((tmp_path / "out").read_bytes()), expected("marg-ekf"))
+    assert bytes_of(_read((tmp_path / "out").read_bytes())) == in_python(method, minute)
 
 
 @pytest.mark.long
 @pytest.mark.skipif(not bench.available("ziglang", "unicorn"), reason="no ziglang, or no unicorn")
+@pytest.mark.parametrize("method", RUN_ELSEWHERE)
 @pytest.mark.parametrize("target", ["cortex-m7", "cortex-m4f"])
-def test_a_cortex_gives_the_bytes_of_python(tmp_path: Path, marg_ekf: dict[str, Emitted], target: str) -> None:
+def test_a_cortex_gives_the_bytes_of_python(
+    tmp_path: Path, minute: Recorded, emitted: Callable[[str], dict[str, Emitted]], target: str, method: str
+) -> None:
     folder = tmp_path / "code"
-    export.write("marg-ekf", {}, "chr", SENSORS, target, marg_ekf[target], folder)
-    board = bench.Board(bench.link(folder, "marg_ekf", target))
-    board.begin(layout.constants(SITE) + layout.constants(SENSORS))
-    assert same(_read(board.process(bench.rows_of(BLOCK))), expected("marg-ekf"))
-
-
-@pytest.fixture(scope="module")
-def marg_ekf() -> dict[str, Emitted]:
-    return emit("marg-ekf", {}, SITE, SENSORS, ["wasm32", "cortex-m7", "cortex-m4f"])
+    export.write(method, {}, "chr", minute.sensors, target, emitted(method)[target], folder)
+    board = bench.Board(bench.link(folder, method.replace("-", "_"), target))
+    board.begin(layout.constants(minute.site) + layout.constants(minute.sensors))
+    assert bytes_of(_read(board.process(bench.rows_of(minute.samples)))) == in_python(method, minute)
 
 
 def _read(answers: bytes) -> Any:
@@ -166,19 +199,19 @@ def test_what_cannot_be_exported_is_one_line(
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("method", ["ins21", "sekf"])
+@pytest.mark.parametrize(("method", "fmi"), [("ins21", "2.0"), ("sekf", "3.0"), ("marg-ekf", "3.0")])
 def test_a_unit_for_co_simulation_gives_the_numbers_of_python(
-    tmp_path: Path, method: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, method: str, fmi: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("fmpy")
     path, sensors = tmp_path / "unit.fmu", export.suite_info("chr", "circuit")
-    assert main(["export-fmu", method, "-o", str(path)]) == 0
+    assert main(["export-fmu", method, "--fmi", fmi, "-o", str(path)]) == 0
     assert f"--estimator fmu:{path}@chr" in capsys.readouterr().out
     import fmpy
     from fmpy.validation import validate_fmu
 
     assert validate_fmu(str(path)) == []
-    assert fmpy.read_model_description(str(path)).fmiVersion == "2.0"
+    assert fmpy.read_model_description(str(path)).fmiVersion == fmi
     unit = FmuEstimator(path, site=SITE, sensors=sensors)
     found = unit.process(BLOCK)
     unit.reset()
