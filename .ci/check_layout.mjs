@@ -42,7 +42,7 @@ const server = createServer((request, response) => {
 }).listen(0);
 const address = `http://localhost:${server.address().port}/`;
 
-const WAIT = 300_000; // ms for one tab: a slow machine may take its time, what stays blank fails in the end
+const WAIT = 1000 * Number(process.env.CHECK_LAYOUT_WAIT ?? 300); // ms for one tab: a slow machine may take its time, what stays blank fails in the end
 const panel = (name) => `[data-testid="panel-mouseenter-container ${name}"]`;
 
 // Coloured pixels from the given fraction of the width on, of pictures or of canvases: [all, red, green, blue] each.

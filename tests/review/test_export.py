@@ -11,6 +11,7 @@ import pytest
 
 import ahrs_sim
 from ahrs_sim import cli
+from ahrs_sim import scenario as scenarios
 from ahrs_sim.errors import InputError
 from ahrs_sim.log import layouts
 from ahrs_sim.log.flight_reader import FlightReader
@@ -84,6 +85,9 @@ def test_shipped_layout_is_that_of_the_circuit() -> None:
 
     (shipped,) = layouts.describe()
     assert json.loads(Path(shipped["path"]).read_text()) == layouts.build(SUITES, ESTIMATORS)
+    circuit = scenarios.load("circuit")
+    assert tuple(SUITES) == tuple(s.name for s in circuit.suites)
+    assert tuple(ESTIMATORS) == tuple(e.name for e in circuit.estimators)
 
 
 def test_layout_shows_what_is_in_the_log(flown: Path, tmp_path: Path) -> None:
