@@ -46,10 +46,10 @@ def run(arguments: argparse.Namespace) -> None:
             print("\n".join(f"  {key} = {_setting(value)}" for key, value in values.items()))
 
 
-def _setting(value: Any) -> str:
-    """A setting with its default, or a key of a manoeuvre with what it may be."""
-    if not isinstance(value, dict):
-        return json.dumps(value)
+def _setting(value: dict[str, Any]) -> str:
+    """A setting with its default and meaning, or a key of a manoeuvre with what it may be."""
+    if "text" in value:
+        return f"{json.dumps(value['default'])}: {value['text']}" + (f"; {value['range']}" if value["range"] else "")
     return f"{value['value']}; default {value['default']}" if value["default"] else str(value["value"])
 
 
@@ -97,7 +97,7 @@ def _estimators() -> list[dict[str, Any]]:
             "name": m.name,
             "source": m.source if m.installed else f"{m.source}; '{m.package}' is not installed",
             "text": m.text,
-            "settings": {k: v.default for k, v in m.settings.items()},
+            "settings": {k: {"default": v.default, "text": v.text, "range": v.bounds()} for k, v in m.settings.items()},
         }
         for m in estimators.describe()
     ]
