@@ -360,4 +360,7 @@ def _size(fault: Fault, table: Table) -> np.ndarray:
             if fault.kind in ("saturation", "noise") and size.min() < 0.0:
                 raise table.error(key, "must not be negative")
             return size * factor
+    for key in table.data:
+        if key.startswith("size_"):
+            raise table.error(key, f"is no size of this sensor; known: {', '.join(f'size_{unit}' for unit in units)}")
     raise table.error(f"size_{next(iter(units))}", f"missing; {fault.kind} needs a size")

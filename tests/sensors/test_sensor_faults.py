@@ -278,7 +278,7 @@ def test_faults_of_other_suites_are_left_alone() -> None:
     ({"sensor": "gyro", "kind": "bias", "at_s": float("nan"), "size_dps": 1}, r"at_s: nan is not a finite number"),
     ({"sensor": "gyro", "kind": "bias", "at_s": 1.0, "for_s": 0.0, "size_dps": 1}, r"for_s: 0 is out of range"),
     ({"sensor": "gyro", "kind": "bias", "at_s": 1.0}, r"size_dps: missing; bias needs a size"),
-    ({"sensor": "gyro", "kind": "bias", "at_s": 1.0, "size_mg": 1.0}, r"size_dps: missing"),
+    ({"sensor": "gyro", "kind": "bias", "at_s": 1.0, "size_mg": 1.0}, r"size_mg: is no size of this sensor"),
     ({"sensor": "gyro", "kind": "bias", "at_s": 1.0, "size_dps": [1, 2]}, r"is not a list of 3"),
     ({"sensor": "imu", "kind": "bias", "at_s": 1.0, "size_dps": 1}, r"bias needs one sensor of gyro, accelerometer"),
     ({"sensor": "gyro", "kind": "bias", "at_s": 1.0, "size_dps": 1, "sise": 2}, r"sise: unknown key"),
