@@ -222,6 +222,7 @@ class Channel:
     table: AllanTable
     specified: dict[str, np.ndarray] | None  # what the grade says, for logs of ours
     left_out: str = ""  # what of the series is not in the table, and why
+    moved: str = ""  # that it was not at rest
 
 
 _SENSORS = {
@@ -279,7 +280,8 @@ def of_log(path: Path, topics: Sequence[str] = (), map_file: Path | None = None)
                 found = evenly(stamps(array), array["log_time"], _known(array, field), f"{path}: {topic}")
                 table = allan_table(found.values, found.rate, unit=_SHOWN[sensor][0])
                 grade = specified(unit, sensor) if unit else None
-                channels.append(Channel(topic, sensor, table, grade, found.left_out))
+                moved = _moved(found.values, found.rate, sensor)
+                channels.append(Channel(topic, sensor, table, grade, found.left_out, moved))
     if not channels:
         raise InputError(f"{path}: {', '.join(topics)}: no values that change; there is no noise to analyse")
     return channels
@@ -397,9 +399,26 @@ def _gaps(s: np.ndarray) -> np.ndarray:
     return np.unique(np.array(found, np.int64))
 
 
+_MOVING = {"gyro": math.radians(1.0), "accelerometer": 0.3}  # rad/s, m/s2: no drift within a recording is as large
+
+
+def _moved(values: np.ndarray, rate: float, sensor: str) -> str:
+    """Say so if the means (m, 3) of every second differ by more than a sensor at rest drifts; "" else."""
+    per_second = max(1, round(rate))
+    whole = len(values) // per_second * per_second
+    if sensor not in _MOVING or not whole:
+        return ""
+    means = values[:whole].reshape(-1, per_second, values.shape[1]).mean(axis=1)
+    largest = float(np.abs(means - np.median(means, axis=0)).max())
+    if largest < _MOVING[sensor]:
+        return ""
+    factor, unit = _SHOWN[sensor][1:]
+    return f"not at rest: its means change by up to {largest * factor:.3g} {unit}, and the fits take that for noise"
+
+
 def as_json(channels: Sequence[Channel]) -> list[dict[str, Any]]:
     """Convert the tables to types that JSON knows, SI."""
-    named = ({"topic": c.topic, "sensor": c.sensor, "left_out": c.left_out} for c in channels)
+    named = ({"topic": c.topic, "sensor": c.sensor, "left_out": c.left_out, "moved": c.moved} for c in channels)
     return [{**name, **c.table.json(c.specified)} for name, c in zip(named, channels, strict=True)]
 
 
@@ -415,8 +434,7 @@ def text(channels: Sequence[Channel]) -> str:
             "walk": (factor, f"{unit}/sqrt(s)", "rate random walk"),
         }
         lines.append(f"{c.topic} {c.sensor}: {c.table.rate:.6g} Hz, {c.table.duration:.6g} s")
-        if c.left_out:
-            lines.append(f"  {c.left_out}")
+        lines += [f"  {line}" for line in (c.left_out, c.moved) if line]
         for row in c.table.rows(c.specified):
             scale, name, meaning = shown[row["coefficient"]]
             nominal = f"   specified {row['specified'] * scale:8.4g}" if "specified" in row else ""
