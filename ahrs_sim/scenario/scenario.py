@@ -223,7 +223,7 @@ def parse(
         steps=steps,
         pilot_attitude=_pilot(table.table("pilot")),
         suites=_components(table, "suite"),
-        estimators=_estimators(table, gate.also(named(estimators))),
+        estimators=_estimators(table, gate.also(named(estimators)), estimators),
         faults=tuple(Component(f"fault-{i + 1}", t.data, t.where) for i, t in enumerate(table.list_of_tables("fault"))),
         notes=() if estimators else notes,
     )
@@ -299,12 +299,18 @@ def _selected(tables: dict[str, Any], names: Sequence[str], where: str) -> dict[
         if name in tables:
             chosen[name] = tables[name]
         elif at:
-            chosen[f"{short_name(method)}-{suite}"] = {"method": method, "suite": suite}
+            chosen[_key(name)] = {"method": method, "suite": suite}
         else:
             raise InputError(
                 f"{where}: {name}: no [estimator.{name}]{nearest(name, tables)} or METHOD@SUITE, e.g. marg-ckf@chr"
             )
     return chosen
+
+
+def _key(option: str) -> str:
+    """Make the name of the estimator that `METHOD@SUITE` asks for."""
+    method, _, suite = option.rpartition("@")
+    return f"{short_name(method)}-{suite}"
 
 
 def short_name(method: str) -> str:
@@ -366,9 +372,11 @@ def _components(table: Table, kind: str) -> tuple[Component, ...]:
     return tuple(Component(name, settings.data, settings.where) for name, settings in _named(table, kind).items())
 
 
-def _estimators(table: Table, gate: Gate) -> tuple[Component, ...]:
+def _estimators(table: Table, gate: Gate, asked: Sequence[str]) -> tuple[Component, ...]:
+    """Make the components; one that the command line asked for as METHOD@SUITE names that option in its errors."""
+    options = {_key(name): f"{table.where}: --estimator {name}" for name in asked if "@" in name}
     tables = _named(table, "estimator")
-    return tuple(estimator_component(name, t.data, t.where, gate) for name, t in tables.items())
+    return tuple(estimator_component(name, t.data, options.get(name, t.where), gate) for name, t in tables.items())
 
 
 def _named(table: Table, kind: str) -> dict[str, Table]:

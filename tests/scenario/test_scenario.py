@@ -101,6 +101,11 @@ def test_unknown_estimator_on_the_command_line(tmp_path: Path) -> None:
         scenarios.load(write(tmp_path, MINIMAL), estimators=["ckf-ch"])
 
 
+def test_errors_of_an_estimator_of_the_command_line_name_the_option(tmp_path: Path) -> None:
+    (made,) = scenarios.load(write(tmp_path, MINIMAL), estimators=["no_module:C@chr"]).estimators
+    assert made.where.endswith(": --estimator no_module:C@chr")
+
+
 def test_turns_ask_for_the_whole_catalogue() -> None:
     turns = scenarios.load("turns")
     asked = {(e.settings["method"], e.settings.get("aiding", "none")) for e in turns.estimators}
@@ -154,7 +159,7 @@ def test_the_list_names_source_and_peers(capsys: pytest.CaptureFixture[str], mon
         assert cli.main(["list", "estimators", "--json"]) == 0
         (row,) = (r for r in json.loads(capsys.readouterr().out) if r["name"] == method.name)
         assert f"'{method.package}' is not installed" in row["source"]
-        assert row["settings"]["aiding"] == "none"
+        assert row["settings"]["aiding"]["default"] == "none"
 
 
 def test_the_log_keeps_as_much_of_the_truth_as_asked(tmp_path: Path) -> None:
