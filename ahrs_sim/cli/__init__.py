@@ -21,6 +21,7 @@ from ahrs_sim.cli import (
     export,
     export_code,
     export_fmu,
+    export_page,
     fly,
     info,
     listing,
@@ -38,7 +39,7 @@ from estimators.errors import EstimationError
 # in the order of `ahrs-sim --help`
 _COMMANDS = (
     fly, serve, replay, compare, info, export, recover, allan, check, campaign, certify, choose, budget, bound, tune,
-    papers, aircraft, new, export_code, export_fmu, listing, schema,
+    papers, aircraft, new, export_code, export_fmu, export_page, listing, schema,
 )  # fmt: skip
 
 

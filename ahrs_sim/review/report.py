@@ -7,10 +7,8 @@ reduces them to what a screen can show at every zoom.
 """
 
 import base64
-import hashlib
 import json
 import math
-import re
 import warnings
 import zlib
 from collections.abc import Sequence
@@ -25,7 +23,7 @@ from ahrs_sim.errors import InputError
 from ahrs_sim.evaluation import accuracy, consistency, phases
 from ahrs_sim.evaluation.metrics import Measure
 from ahrs_sim.evaluation.phases import PHASES
-from ahrs_sim.review import colors
+from ahrs_sim.review import colors, one_file
 from ahrs_sim.review.traces import COARSE, EstimatorTrace, FlightTraces, finding
 from estimators.types import Status
 
@@ -85,31 +83,17 @@ def page(flights: Sequence[FlightTraces]) -> str:
 def _assemble(data: str, packed: str) -> str:
     """Fill the template."""
     folder = resources.files("ahrs_sim.review") / "page"
-    parts = {name: (folder / name).read_text(encoding="utf-8") for name in ("template.html", *_PARTS.values())}
-    # In a script element "</script" would end the data, and "<!--<script" swallow what follows.
-    filled = {mark: parts[name] for mark, name in _PARTS.items()}
-    filled |= {"@DATA@": data.replace("<", "\\u003c"), "@SERIES@": packed}
-    text = _MARK.sub(lambda found: filled[found[0]], parts["template.html"])  # once: what is put in stays as it is
-    return text.replace("@POLICY@", _policy(text), 1)
+    parts = {mark: (folder / name).read_text(encoding="utf-8") for mark, name in _PARTS.items()}
+    template = (folder / "template.html").read_text(encoding="utf-8")
+    return one_file.filled(template, {**parts, "DATA": one_file.json_in_script(data), "SERIES": packed})
 
 
-def _policy(text: str) -> str:
-    """Content-Security-Policy of a page: its own programs and styles run, nothing is fetched or sent."""
-    kinds = (("script-src", r"<script>(.*?)</script>"), ("style-src", r"<style>(.*?)</style>"))
-    allowed = []
-    for kind, pattern in kinds:
-        digests = [hashlib.sha256(part.encode()).digest() for part in re.findall(pattern, text, re.DOTALL)]
-        allowed.append(" ".join([kind, *(f"'sha256-{base64.b64encode(d).decode()}'" for d in digests)]))
-    return "; ".join(["default-src 'none'", *allowed, "img-src data:", "base-uri 'none'", "form-action 'none'"])
-
-
-_MARK = re.compile("@(STYLE|UPLOT_STYLE|UPLOT_LICENSE|UPLOT|PROGRAM|DATA|SERIES)@")
 _PARTS = {
-    "@STYLE@": "report.css",
-    "@UPLOT_STYLE@": "uplot.css",
-    "@UPLOT_LICENSE@": "uplot-LICENSE.txt",
-    "@UPLOT@": "uplot.js",
-    "@PROGRAM@": "report.js",
+    "STYLE": "report.css",
+    "UPLOT_STYLE": "uplot.css",
+    "UPLOT_LICENSE": "uplot-LICENSE.txt",
+    "UPLOT": "uplot.js",
+    "PROGRAM": "report.js",
 }
 
 

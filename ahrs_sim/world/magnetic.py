@@ -5,6 +5,7 @@ alone and not on the rest of the block. The lattice is fine enough for 0.1 nT.
 """
 
 import datetime
+import itertools
 import math
 import warnings
 from functools import lru_cache
@@ -134,6 +135,28 @@ def igrf(lla: np.ndarray, year: float) -> np.ndarray:
     functions = legendre.Flattened_Chaos_Legendre1(degree, 90.0 - geocentric)
     field = magmath.mag_SPH_summation(degree, harmonics, g, h, functions, geocentric)
     return np.stack(magmath.rotate_magvec(*field, geocentric, latitude), axis=-1) * 1e-9
+
+
+def igrf_terms(since: float) -> list[tuple[float, float, int, list[list[float]]]]:
+    """List IGRF-14 from one of its epochs to the next: both years, the degree, and its terms.
+
+    A term is degree, order, g and h in nT at the first year, and their change a year.
+    """
+    epochs, listed = _igrf_coefficients(), []
+    for year, later in itertools.pairwise(epoch for epoch in epochs if epoch >= since):
+        degree = max(epochs[year][0], epochs[later][0])
+        terms = []
+        for n in range(1, degree + 1):
+            for m in range(n + 1):
+                k = n * (n + 1) // 2 + m
+                g, h, g_later, h_later = (
+                    float(rows[k, i]) if k < len(rows) else 0.0
+                    for rows in (epochs[year][1], epochs[later][1])
+                    for i in (0, 1)
+                )
+                terms.append([n, m, g, h, (g_later - g) / (later - year), (h_later - h) / (later - year)])
+        listed.append((year, later, degree, terms))
+    return listed
 
 
 @lru_cache(maxsize=1)

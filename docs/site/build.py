@@ -11,13 +11,15 @@ import shutil
 import sys
 from pathlib import Path
 
+from ahrs_sim.review import estimator_page
+
 ROOT = Path(__file__).parents[2]
 
 _PAGES = {
     "Tutorials": ["docs/tutorial-filter", "docs/tutorial-recording", "docs/tutorial-ci", "docs/notebook"],
     "Guides": [
-        "docs/estimators", "docs/doors", "docs/replay", "docs/regression", "docs/viewers", "docs/sensors",
-        "docs/aircraft", "docs/trainer", "docs/calibration",
+        "docs/estimators", "docs/doors", "reference/try", "docs/replay", "docs/regression", "docs/viewers",
+        "docs/sensors", "docs/aircraft", "docs/trainer", "docs/calibration",
     ],
     "Results": ["docs/accuracy", "docs/papers"],
     "Reference": [
@@ -58,6 +60,12 @@ A filter in another language has the same columns behind a C interface: [doors](
 .. autoclass:: estimators.SensorInfo
    :no-members:
 ```
+"""
+
+TRY = """# Try the estimators in this browser
+
+<a href="../try.html">The page</a> runs them on a recording that you drop on it: a log of ours, a ULog or CSV.
+Nothing is uploaded. What it reads and what it leaves out: [doors](../docs/doors.md#ours-in-a-browser).
 """
 
 PYTHON = """# From Python
@@ -129,8 +137,9 @@ def write(source: Path) -> None:
         for title, pages in PAGES.items():
             index.write("\n".join(["", "```{toctree}", f":caption: {title}", ":hidden:", *pages, "```", ""]))
     made = {"contract": CONTRACT, "python": PYTHON, "commands": commands(), "estimators": methods()}
-    made |= {"grades": grades(), "maps": maps()}
+    made |= {"grades": grades(), "maps": maps(), "try": TRY}
     (source / "reference").mkdir()
+    estimator_page.write(source / "extra" / "try.html", "circuit")
     for name, text in made.items():
         (source / "reference" / f"{name}.md").write_text(text, encoding="utf-8")
 
@@ -169,9 +178,16 @@ def methods() -> str:
         "`ahrs-sim list estimators`; which to take: [estimators](../docs/estimators.md).",
     ]
     for method in estimators.describe():
-        settings = ", ".join(f"`{name} = {setting.default!r}`" for name, setting in method.settings.items())
+        settings = "\n".join(
+            ["| setting | default | | |", "|---|---|---|---|"]
+            + [f"| `{k}` | `{v.default}` | {_cell(v.text)} | {v.bounds()} |" for k, v in method.settings.items()]
+        )
         package = "" if method.installed else f" Needs the package {method.package}."
-        parts += [f"## {method.name}", f"{method.text}. {method.source}.{package}", settings or "No settings."]
+        parts += [
+            f"## {method.name}",
+            f"{method.text}. {method.source}.{package}",
+            settings if method.settings else "No settings.",
+        ]
     return "\n\n".join(parts) + "\n"
 
 

@@ -8,6 +8,7 @@ extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 root_doc = "index"
 exclude_patterns = ["_build"]
 
+html_extra_path = ["extra"]
 html_theme = "furo"
 html_title = "ahrs_sim"
 html_copy_source = False
