@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> None:
 def _setting(value: dict[str, Any]) -> str:
     """A setting with its default and meaning, or a key of a manoeuvre with what it may be."""
     if "text" in value:
-        return f"{json.dumps(value['default'])}: {value['text']}" + (f"; {value['range']}" if value["range"] else "")
+        return f"{json.dumps(value['default'])}  # {value['text']}" + (f"; {value['range']}" if value["range"] else "")
     return f"{value['value']}; default {value['default']}" if value["default"] else str(value["value"])
 
 

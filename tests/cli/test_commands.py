@@ -64,7 +64,7 @@ def test_grades_are_a_line_each_and_one_in_full_by_name(capsys: pytest.CaptureFi
 
 def test_an_estimator_by_name_has_its_settings(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["list", "estimators", "hand-ins"]) == 0
-    assert "  align_s = 20.0" in capsys.readouterr().out.splitlines()
+    assert "\n  align_s = 20.0  # s, stationary stretch that is averaged; at least 1" in capsys.readouterr().out
     assert cli.main(["list", "manoeuvres", "turn"]) == 0
     assert "  bank_deg = number" in capsys.readouterr().out
 
