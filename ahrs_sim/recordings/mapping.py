@@ -19,7 +19,7 @@ Everything in a map is optional:
     soft_iron = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]    # row by row: m = soft (raw - hard)
     yaw_deg = 90.0          # how it sits on the IMU, where the two differ
     [imu]
-    gyro_unit = "deg/s"
+    gyro_unit = "deg/s"     # or "dps"
     accel_unit = "g"
     gyro_bias = [0.0, 0.0, 0.0]     # rad/s, in the axes of the messages
     [air]
@@ -140,7 +140,7 @@ def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
     mag_mount = _rotation(mag)
     mag.close()
     imu = table.table("imu")
-    gyro_unit = UNITS[imu.choice("gyro_unit", ["rad/s", "deg/s"], "rad/s")]
+    gyro_unit = UNITS[imu.choice("gyro_unit", ["rad/s", "deg/s", "dps"], "rad/s")]
     accel_unit = UNITS[imu.choice("accel_unit", ["m/s2", "g", "mg"], "m/s2")]
     gyro_bias = imu.vector("gyro_bias", [0.0, 0.0, 0.0])
     imu.close()

@@ -178,10 +178,10 @@ def methods() -> str:
         "`ahrs-sim list estimators`; which to take: [estimators](../docs/estimators.md).",
     ]
     for method in estimators.describe():
-        settings = "\n".join(
-            ["| setting | default | | |", "|---|---|---|---|"]
-            + [f"| `{k}` | `{v.default}` | {_cell(v.text)} | {v.bounds()} |" for k, v in method.settings.items()]
-        )
+        rows = ["| setting | default | meaning | range |", "|---|---|---|---|"]
+        for name, s in method.settings.items():
+            rows.append(f"| `{name}` | `{_plain(s.default)}` | {_cell(s.text)} | {s.bounds()} |")
+        settings = "\n".join(rows)
         package = "" if method.installed else f" Needs the package {method.package}."
         parts += [
             f"## {method.name}",
@@ -189,6 +189,11 @@ def methods() -> str:
             settings if method.settings else "No settings.",
         ]
     return "\n\n".join(parts) + "\n"
+
+
+def _plain(value: str | float | bool) -> str:
+    """A default as TOML has it, numbers in few digits."""
+    return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def grades() -> str:

@@ -3,7 +3,7 @@
 from typing import Any
 
 project = "ahrs_sim"
-author = "The ahrs_sim authors"
+author = project_copyright = "the ahrs_sim authors"
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 root_doc = "index"
 exclude_patterns = ["_build"]
@@ -11,6 +11,7 @@ exclude_patterns = ["_build"]
 html_extra_path = ["extra"]
 html_theme = "furo"
 html_title = "ahrs_sim"
+html_theme_options = {"light_css_variables": {"code-font-size": "75%"}}  # lines of 100 characters fit
 html_copy_source = False
 html_show_sphinx = False
 default_role = "code"  # single backticks of docstrings

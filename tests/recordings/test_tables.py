@@ -106,6 +106,8 @@ def test_units_of_the_header(tmp_path: Path, moving: Motion) -> None:
     _, notes = samples_of(tmp_path / "second.csv", bare.replace('"gz"]', '"gz"], unit = "rad/s"'))
     assert any("unit is rad/s by the map, deg/s by its header" in note for note in notes)
     f.to_csv(tmp_path / "none.csv", index=False)
+    spelt = bare.replace('"gz"]', '"gz"], unit = "dps"').replace('"az"]', '"az"], unit = "g"')
+    check(samples_of(tmp_path / "none.csv", spelt.replace('"time"', '"time", unit = "ms"'))[0], moving, 1e-8)
     with pytest.raises(InputError, match="unit: missing"):
         samples_of(tmp_path / "none.csv", bare)
 

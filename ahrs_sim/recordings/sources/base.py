@@ -29,7 +29,7 @@ ATTITUDE = "geometry_msgs/msg/QuaternionStamped"
 
 UNITS = {
     "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0,
-    "rad": 1.0, "deg": np.pi / 180, "rad/s": 1.0, "deg/s": np.pi / 180,
+    "rad": 1.0, "deg": np.pi / 180, "rad/s": 1.0, "deg/s": np.pi / 180, "dps": np.pi / 180,
     "m/s2": 1.0, "m/s^2": 1.0, "g": gravity.STANDARD, "mg": gravity.STANDARD * 1e-3,
     "T": 1.0, "uT": 1e-6, "nT": 1e-9, "G": 1e-4, "mG": 1e-7,
     "m": 1.0, "ft": 0.3048, "m/s": 1.0, "km/h": 1 / 3.6, "kt": 1852 / 3600,

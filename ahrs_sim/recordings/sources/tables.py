@@ -68,7 +68,7 @@ _KINDS: dict[str, tuple[str, dict[str, tuple[str, int, str]]]] = {  # type; by k
 }
 _CHANGES_ONLY = ("fix", "velocity", "heading")
 _DIMENSIONS = {
-    "rad/s": ("rad/s", "deg/s"), "m/s2": ("m/s2", "m/s^2", "g", "mg"), "T": ("T", "uT", "nT", "G", "mG"),
+    "rad/s": ("rad/s", "deg/s", "dps"), "m/s2": ("m/s2", "m/s^2", "g", "mg"), "T": ("T", "uT", "nT", "G", "mG"),
     "deg": ("deg", "rad"), "rad": ("rad", "deg"), "m": ("m", "ft"), "m/s": ("m/s", "km/h", "kt"),
     "Pa": ("Pa", "hPa", "mbar", "kPa"),
 }  # fmt: skip
