@@ -1,4 +1,4 @@
-"""Other people's attitude filters in the same table: VQF, imufusion, turbo-ckf; Madgwick, Mahony, EKF of `ahrs`.
+"""Other people's attitude filters in the same table: VQF, imufusion, turbo-ckf, attipy, smsfusion, three of `ahrs`.
 
     estimator = estimators.create("vqf", site=site, sensors=sensors, aiding="airspeed")
 
@@ -11,12 +11,17 @@ defaults. They disagree on every convention; this is what each takes and gives:
     mahony     specific force, rad/s                 body to east, magnetic north, up
     ahrs-ekf   minus specific force, rad/s           body to true north, east, down (it is given the field)
     turbo-ckf  minus specific force, rad/s           body to magnetic north, east, down
+    attipy     specific force, rad/s, heading        body to north, east, down
+    smsfusion  specific force, rad/s, heading        body to north, east, down
 
-The declination is applied here, once, to those that know magnetic north only.
+The declination is applied here, once, to those that know magnetic north only, and to the heading of the last two: that
+of the field, levelled by the specific force. Those two take the velocity of GNSS, too (`aiding = "gnss"`), and the
+field is then levelled by their own tilt; without it they believe, as their packages do, in a velocity of 0 +- 10 m/s.
 
 Limits, the same for all: a peer starts with the first row that has gyro, accelerometer and magnetometer; a slower
 magnetometer is used as latched. A row whose gyro or accelerometer is missing, or whose time stamp does not advance,
-leaves the estimate as it is (COASTING); a gap counts as `MAX_STEP`. VQF knows a fixed rate only: the nominal one.
+leaves the estimate as it is (COASTING); a gap counts as `MAX_STEP`. VQF, attipy and smsfusion know a fixed rate only:
+the nominal one.
 """
 
 import importlib
@@ -37,8 +42,6 @@ MAX_STEP = 0.5
 
 BACKWARDS = 1.0
 """s: a time stamp that goes further back is another recording, not jitter."""
-
-"""m/s2, in one g."""
 
 _NED = (1.0, 0.0, 0.0, 0.0)
 _ENU = (0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0)  # turns east-north-up vectors into north-east-down
@@ -90,6 +93,9 @@ class Peer:
     EARTH: ClassVar[tuple[float, float, float, float]]  # quaternion from its Earth axes to north-east-down
     MAGNETIC: ClassVar[bool] = True  # its north is magnetic
     SETTINGS: ClassVar[Mapping[str, Setting]] = AIDING
+
+    velocity_n: np.ndarray
+    """(m, 3) m/s, north, east, down, of the rows that `feed` runs: of GNSS, NaN where none has just come."""
 
     def __init__(self, *, site: Site | None = None, sensors: SensorInfo | None = None, **settings: Any) -> None:
         """Make a peer for a place and a grade of sensors.
@@ -154,6 +160,7 @@ class Peer:
         accel_b = self._aid.correct(samples) if self._aid is not None else samples.accel_b
         usable = np.isfinite(samples.gyro_b).all(axis=1) & np.isfinite(accel_b).all(axis=1)
         magnetic = np.isfinite(samples.mag_b).all(axis=1)
+        velocity_n = np.where(samples.gnss_new[:, None], samples.vel_n, math.nan)
         if math.isnan(self._t):
             first = np.flatnonzero(usable & magnetic)
             if not len(first):
@@ -168,7 +175,7 @@ class Peer:
         if len(rows):
             dt = np.diff(np.concatenate([[self._t], samples.t[rows]]))
             self._t = float(samples.t[rows[-1]])
-            columns = self._run(rows, dt, samples.gyro_b, accel_b, samples.mag_b, magnetic)
+            columns = self._run(rows, dt, samples.gyro_b, accel_b, samples.mag_b, magnetic, velocity_n)
             out["status"][rows] = np.where(dt > MAX_STEP, Status.COASTING, Status.RUNNING)
             out["status"][rows[np.isnan(columns["q_nb"][:, 0])]] = Status.ALIGNING
         self._fill(out, rows, columns)
@@ -182,12 +189,14 @@ class Peer:
         accel_b: np.ndarray,
         mag_b: np.ndarray,
         magnetic: np.ndarray,
+        velocity_n: np.ndarray,
     ) -> dict[str, np.ndarray]:
         """Run all usable rows, in stretches with and without a magnetometer."""
         cuts = np.flatnonzero(np.diff(magnetic[rows])) + 1
         parts = []
         for part in np.split(np.arange(len(rows)), cuts):
             k = rows[part]
+            self.velocity_n = velocity_n[k]
             made = self.feed(np.minimum(dt[part], MAX_STEP), gyro_b[k], accel_b[k], mag_b[k])
             made["q_nb"] = attitude.product(self._q_ne, made.pop("q"))
             made["down_b"] = attitude.down(made["q_nb"])
@@ -460,6 +469,127 @@ class TurboCkf(Peer):
             ckf.normalize_state_quaternion()
             q[k] = ckf.x
         return {"q": q}
+
+
+class _Mekf(Peer):
+    """A multiplicative EKF that is given a heading and a velocity: what its two packages share.
+
+    Both begin with a milliradian and a milliradian per second, for one who knows the attitude. Here the first sample
+    gives it: they are given `start_sigma`, the gyro bias of the grade and a velocity of 0 +- 1 m/s.
+    """
+
+    EARTH, MAGNETIC = _NED, False
+    SETTINGS: ClassVar[Mapping[str, Setting]] = {
+        **AIDING,
+        "aiding": Setting(
+            "none", "airspeed: taken off the accelerometer; gnss: its velocity is given to the peer",
+            ("none", "airspeed", "gnss"),
+        ),
+        "heading_sigma": Setting(0.05, "rad, of the heading from the field", above=0.0),
+        "velocity_sigma": Setting(0.1, "m/s, of the velocity of GNSS, as in attipy's example", above=0.0),
+        "start_sigma": Setting(0.1, "rad, of the attitude that the first sample gives", above=0.0),
+    }  # fmt: skip
+
+    def start(self, accel_b: np.ndarray, mag_b: np.ndarray) -> None:
+        """Make the filter, its first attitude from the first sample."""
+        north, east, _ = self.site.mag_n
+        self._declination = math.atan2(east, north)
+        half = 0.5 * self._declination
+        turn = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
+        self._filter = self.make(attitude.product(turn, _from_vectors(-accel_b, mag_b)))
+
+    def first(self) -> np.ndarray:
+        """Variances (3, 3) at the start: attitude, gyro bias, velocity; SI."""
+        sigmas = [self.number("start_sigma"), max(self.sensors.gyro_bias, 1e-3), 1.0]
+        return np.repeat(np.square(sigmas)[:, None], 3, axis=1)
+
+    def make(self, q_nb: np.ndarray) -> Any:
+        """Make the filter object from its first attitude (4,)."""
+        raise NotImplementedError
+
+    def step(
+        self, gyro_b: np.ndarray, accel_b: np.ndarray, heading: float | None, velocity_n: np.ndarray | None
+    ) -> None:
+        """Run one row: heading in rad, velocity (3,) in m/s, None where there is none."""
+        raise NotImplementedError
+
+    def now(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Read quaternion (4,), gyro bias (3,) rad/s and covariance (3, 3) rad2 of the attitude in body axes."""
+        raise NotImplementedError
+
+    def feed(self, dt: np.ndarray, gyro_b: np.ndarray, accel_b: np.ndarray, mag_b: np.ndarray) -> dict[str, np.ndarray]:
+        """Run rows through the filter."""
+        q, bias, cov = np.empty((len(dt), 4)), np.empty((len(dt), 3)), np.empty((len(dt), 3, 3))
+        aided, magnetic = self.settings["aiding"] == "gnss", bool(np.isfinite(mag_b[0, 0]))
+        for k in range(len(dt)):
+            level = self.now()[0] if aided else _from_vectors(-accel_b[k], mag_b[k])
+            heading = self._heading(level, mag_b[k]) if magnetic else None
+            velocity_n = self.velocity_n[k] if aided and np.isfinite(self.velocity_n[k]).all() else None
+            self.step(gyro_b[k], accel_b[k], heading, velocity_n)
+            q[k], bias[k], cov[k] = self.now()
+        return {"q": q, "gyro_bias": bias, "att_cov": cov}
+
+    def _heading(self, level: np.ndarray, mag_b: np.ndarray) -> float:
+        """Compute the true heading (rad) of the field, levelled by the tilt of a quaternion (4,)."""
+        north, east, _ = attitude.to_nav(level[None], mag_b[None])[0]
+        return float(attitude.euler(level[None])[0, 2]) - math.atan2(east, north) + self._declination
+
+
+class Attipy(_Mekf):
+    """The AHRS of AttiPy: a multiplicative EKF of attitude, gyro bias and velocity, with its own noise figures."""
+
+    SOURCE = "package attipy, Solum"
+    NAME, PACKAGE = "attipy", "attipy"
+
+    def make(self, q_nb: np.ndarray) -> Any:
+        """Make the filter object."""
+        return self._package.AHRS(self.sensors.rate, q_nb, P=np.diag(self.first().ravel()), g=self.site.gravity)
+
+    def step(
+        self, gyro_b: np.ndarray, accel_b: np.ndarray, heading: float | None, velocity_n: np.ndarray | None
+    ) -> None:
+        """Run one row."""
+        aids: dict[str, Any] = {}
+        if self.settings["aiding"] == "gnss":
+            aids = {"v_n": velocity_n, "v_var": np.full(3, self.number("velocity_sigma") ** 2)}
+        if heading is not None:
+            aids |= {"yaw": heading, "yaw_var": self.number("heading_sigma") ** 2}
+        self._filter.update(accel_b, gyro_b, **aids)
+
+    def now(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Read attitude, gyro bias and covariance."""
+        return self._filter.q_nb, self._filter.bg_b, self._filter.P[:3, :3]
+
+
+class Smsfusion(_Mekf):
+    """The AHRS of smsfusion, with velocity of GNSS its aided INS: a multiplicative EKF with its own noise figures."""
+
+    SOURCE = "package smsfusion, 4Subsea"
+    NAME, PACKAGE = "smsfusion", "smsfusion"
+
+    def make(self, q_nb: np.ndarray) -> Any:
+        """Make the filter object."""
+        package, x = self._package, self._package.constants.X0.copy()
+        x[6:10] = q_nb
+        cls = package.AidedINS if self.settings["aiding"] == "gnss" else package.AHRS
+        turned, biased, moving = self.first()
+        P = np.diag(np.concatenate([np.full(3, 1e6), moving, turned, biased]))
+        return cls(self.sensors.rate, x, P, g=self.site.gravity)
+
+    def step(
+        self, gyro_b: np.ndarray, accel_b: np.ndarray, heading: float | None, velocity_n: np.ndarray | None
+    ) -> None:
+        """Run one row."""
+        aids: dict[str, Any] = {}
+        if velocity_n is not None:
+            aids = {"vel": velocity_n, "vel_var": np.full(3, self.number("velocity_sigma") ** 2)}
+        if heading is not None:
+            aids |= {"head": heading, "head_var": self.number("heading_sigma") ** 2, "head_degrees": False}
+        self._filter.update(accel_b, gyro_b, **aids)
+
+    def now(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Read attitude, gyro bias and covariance."""
+        return self._filter.quaternion(), self._filter.bias_gyro(), self._filter.P[6:9, 6:9]
 
 
 def _unused(points: np.ndarray) -> np.ndarray:

@@ -29,7 +29,8 @@ from ahrs_sim.runs import bound
 SCENARIOS, SUITES = ("turns", "circuit"), ("chr", "sbg")
 START, OUTAGE, OUTAGE_S = 80.0, 240.0, 60.0
 WORST = 1.6
-PEERS = ("vqf", "imufusion", "madgwick", "mahony", "ahrs-ekf", "turbo-ckf")
+PEERS = ("vqf", "imufusion", "madgwick", "mahony", "ahrs-ekf", "turbo-ckf", "attipy", "smsfusion")
+WITH_VELOCITY = ("attipy", "smsfusion")  # peers that take the velocity of GNSS
 
 BOUNDS = {"gnss": "magnetometer, GNSS", "dual": "magnetometer, GNSS, two antennas"}
 BOUND_OF = {"ins15": "gnss", "ins21": "gnss", "cal": "gnss", "dual": "dual", "cal-dual": "dual"}
@@ -176,6 +177,8 @@ def estimators(peers: bool) -> dict[str, dict[str, Any]]:
         for name in PEERS if peers else ():
             tables[f"{name}-{suite}"] = {"method": name, "suite": suite}
             tables[f"{name}-air-{suite}"] = {"method": name, "suite": suite, "aiding": "airspeed"}
+            if name in WITH_VELOCITY:
+                tables[f"{name}-gnss-{suite}"] = {"method": name, "suite": suite, "aiding": "gnss"}
     return tables
 
 
@@ -279,7 +282,11 @@ def lines(flown: dict[int, list[dict[str, Any]]]) -> list[str]:
                 f"| {found[4]:.2g} | {met} |"
             )
         for name in PEERS:
-            for key, title in ((name, f"{name}, raw"), (f"{name}-air", f"{name}, accelerometer corrected by airspeed")):
+            for key, title in (
+                (name, f"{name}, raw"),
+                (f"{name}-air", f"{name}, accelerometer corrected by airspeed"),
+                (f"{name}-gnss", f"{name}, velocity of GNSS"),
+            ):
                 if (found := summary(flown, f"{key}-{suite}")) is not None:
                     made.append(f"| {title} | {found[0]:.2f} / {found[1]:.2f} | | | {found[2]:.2f} | | | |")
         for key, aids in BOUNDS.items():

@@ -124,11 +124,11 @@ def test_turns_ask_for_the_whole_catalogue() -> None:
 
 def test_a_peer_that_is_not_installed_is_a_note_and_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
     everybody = {e.name for e in scenarios.load("turns").estimators}
-    for package in ("vqf", "imufusion", "ahrs", "turbo_ckf"):
+    for package in ("vqf", "imufusion", "ahrs", "turbo_ckf", "attipy", "smsfusion"):
         monkeypatch.setitem(sys.modules, package, None)
     turns = scenarios.load("turns")
     here = {e.name for e in turns.estimators}
-    peers = ("vqf", "imufusion", "madgwick", "mahony", "ahrs", "turbo-ckf")
+    peers = ("vqf", "imufusion", "madgwick", "mahony", "ahrs", "turbo-ckf", "attipy", "smsfusion")
     assert here == {name for name in everybody if not name.startswith(peers)}
     (note,) = turns.notes
     assert "vqf" in note and "pip install 'ahrs-sim[peers]'" in note and "\n" not in note
