@@ -44,7 +44,7 @@ _DRIVE = (
     "The paper's plain EKF errs by 4 deg at most. Believing the accelerometer fully that is 0.69 m/s2, in the bends of "
     "a running track (radius 36.5 m) a speed of 5 m/s. So it was driven; the bias is taken at rest, median of the "
     "drives. The paper had one drive and one unit: the row below has the range of ours, which differ by their units' "
-    "errors."
+    "errors. Roll and the largest error are the paper's; the pitch is above it on every drive and is not reproduced."
 )
 _TRADE = (
     "What the switch lets through: a forward acceleration of 1 m/s2 turns gravity by 6 deg and changes |f| by 0.5 % "
