@@ -42,7 +42,7 @@ const server = createServer((request, response) => {
 }).listen(0);
 const address = `http://localhost:${server.address().port}/`;
 
-const WAIT = 1000 * Number(process.env.CHECK_LAYOUT_WAIT ?? 300); // ms for one tab: a slow machine may take its time, what stays blank fails in the end
+const WAIT = 180_000; // ms without a change in the plots: a slow machine may take its time over a long log, what stays blank fails
 const panel = (name) => `[data-testid="panel-mouseenter-container ${name}"]`;
 
 // Coloured pixels from the given fraction of the width on, of pictures or of canvases: [all, red, green, blue] each.
@@ -89,8 +89,12 @@ try {
     };
     if (k) await tab.locator(panel("Tab!main")).getByTestId("toolbar-tab").nth(k).click({ timeout: WAIT });
     else await tab.goto(`${address}?${new URLSearchParams({ layoutId: "1", ds: "remote-file", "ds.url": `${address}log.mcap` })}`, { timeout: WAIT });
-    let lacks;
-    while ((lacks = await missing()) && !trouble.length && Date.now() - begun < WAIT) await tab.waitForTimeout(1000);
+    let lacks, seen = "", changed = Date.now();
+    while ((lacks = await missing()) && !trouble.length && Date.now() - changed < WAIT) {
+      const now = JSON.stringify(await tab.evaluate(colours, [plots.map((name) => `${panel(name)} canvas`), 0]));
+      if (now !== seen) { seen = now; changed = Date.now(); }
+      await tab.waitForTimeout(1000);
+    }
     await tab.screenshot({ path: `${folder}/layout-${k + 1}.png`, timeout: WAIT });
     if (trouble.length) throw new Error(trouble.join("\n"));
     if (lacks) throw new Error(`${title}: ${lacks}`);

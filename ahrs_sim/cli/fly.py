@@ -60,7 +60,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
 
 def add_flight(command: argparse.ArgumentParser, estimators: str) -> None:
     """Add where a flight goes, and what replaces values of its scenario; `estimators` is the help of --estimator."""
-    command.add_argument("-o", "--output", type=Path, metavar="LOG", help="default: logs/SCENARIO-seedN.mcap")
+    command.add_argument("-o", "--output", type=Path, metavar="LOG", help="default: logs/SCENARIO-seedN.mcap, or -runN")
     command.add_argument("--seed", type=natural, metavar="N", help="seed, instead of the scenario's")
     add_estimators(command, estimators)
     add_code(command)
@@ -231,7 +231,9 @@ def scenario_of(arguments: argparse.Namespace) -> "Scenario":
 
 def output_of(arguments: argparse.Namespace, scenario: "Scenario") -> Path:
     """Choose the file of the log; what exists stays unless `--force` is given."""
-    output: Path = arguments.output or Path("logs") / f"{scenario.name}-seed{scenario.seed}.mcap"
+    run = getattr(arguments, "number", None)  # of a campaign: varied, so not what its seed alone gives
+    name = f"{scenario.name}-seed{scenario.seed}" if run is None else f"{scenario.name}-run{run}"
+    output: Path = arguments.output or Path("logs") / f"{name}.mcap"
     if output.exists() and not arguments.force:
         raise InputError(f"{output}: exists; give another -o or --force")
     if arguments.output is None:

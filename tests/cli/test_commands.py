@@ -1,5 +1,6 @@
 """The command line as a whole; what single commands do is tested with what they use."""
 
+import argparse
 import re
 import shutil
 import subprocess
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from ahrs_sim import cli, scenario
+from ahrs_sim.cli import fly
 
 
 def output_of(*arguments: str, capsys: pytest.CaptureFixture[str]) -> str:
@@ -91,3 +93,10 @@ def test_a_fault_after_the_end_is_reported_before_the_flight(
     assert "late.toml: [[fault]] 1: at_s = 900: never happens, the flight ends at 2 s" in error
     assert scenario.load(str(path), duration=1000.0).notes == ()
     assert len(scenario.load(str(path)).unreached(100.0)) == 1
+
+
+def test_a_run_of_a_campaign_has_a_log_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    circuit, asked = scenario.load("circuit"), argparse.Namespace(output=None, force=False)
+    assert fly.output_of(asked, circuit) == Path("logs/circuit-seed1.mcap")
+    assert fly.output_of(argparse.Namespace(**vars(asked), number=56), circuit) == Path("logs/circuit-run56.mcap")
