@@ -71,7 +71,7 @@ def choose(source: Source, mapping: Map, notes: list[str] | None = None) -> dict
                 raise InputError(f"{source.path}: {topic.name} is not a {topic.type_name} as it is known: {why}")
             why = why or ("" if wanted and len(first) else _unfit(kind, topic, first, source))
             if why:
-                if "never change" in why or kind == "imu":
+                if "never" in why or kind == "imu":
                     passed.append(f"{topic.name} is no {kind}: {why}")
                 continue
             body, world = frames.named(first, topic.type_name)
@@ -165,6 +165,10 @@ def _unfit(kind: str, topic: Topic, first: np.ndarray, source: Source) -> str:
             return "it has no orientation"
         if not _changes(source, topic.name, lambda block: frames.orientation(block, topic.type_name)):
             return "its orientation never changes"
+    if kind in _PLACEHOLDERS:
+        what, values, only_zero = _PLACEHOLDERS[kind]
+        if not (only_zero and values(first).any()) and not _changes(source, topic.name, values):
+            return f"its {what} never changes{' from 0' if only_zero else ''}"
     if kind in ("diff_pressure", "static_pressure"):
         static = _STATIC[0] < abs(float(np.nanmedian(first["fluid_pressure"]))) < _STATIC[1]
         if static != (kind == "static_pressure"):
@@ -174,6 +178,25 @@ def _unfit(kind: str, topic: Topic, first: np.ndarray, source: Source) -> str:
 
 def _vector(place: str, array: np.ndarray) -> np.ndarray:
     return vector(array[place])
+
+
+def _linear(array: np.ndarray) -> np.ndarray:
+    twist = array["twist"]
+    return vector((twist["twist"] if "twist" in (twist.dtype.names or ()) else twist)["linear"])
+
+
+def _column(name: str, array: np.ndarray) -> np.ndarray:
+    column: np.ndarray = array[name][:, None]
+    return column
+
+
+_PLACEHOLDERS: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray], bool]] = {
+    "mag": ("field", functools.partial(_vector, "magnetic_field"), False),
+    "velocity": ("velocity", _linear, True),
+    "diff_pressure": ("pressure", functools.partial(_column, "fluid_pressure"), True),
+    "air": ("airspeed", functools.partial(_column, "airspeed"), True),
+}
+"""By kind: what it is, its values (n, k), and whether only one that stays 0 measures nothing."""
 
 
 def _changes(source: Source, topic: str, values: Callable[[np.ndarray], np.ndarray]) -> bool:

@@ -8,7 +8,7 @@ still, twice, or with a stamp of another clock is left out and counted.
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -88,6 +88,7 @@ class Converter:
         epoch_ns: zero of the records' times, ns since 1970.
         height: m, of fixes before the first one that has a height.
         clocks: what is to be taken off the stamps; none: nothing.
+        held: spans (s) of the reference's own stamps in which it is left out.
     """
 
     def __init__(
@@ -98,9 +99,11 @@ class Converter:
         epoch_ns: int,
         height: float = 0.0,
         clocks: Clocks | None = None,
+        held: Sequence[tuple[float, float]] = (),
     ) -> None:
         self.chosen, self.mapping, self.calibration, self.epoch_ns = chosen, mapping, calibration, epoch_ns
         self.counts: Counter[str] = Counter()
+        self._held = [(round(1e9 * start), round(1e9 * end)) for start, end in held]
         self._clocks = clocks or Clocks(by_log=mapping.stamps == "log")
         kinds = [k for k in chosen if k != "accel"]
         kinds += ["air"] if "diff_pressure" in chosen and "air" not in chosen else []
@@ -158,6 +161,9 @@ class Converter:
                 known = np.isfinite(columns["gyro_b"]).all(axis=1)
                 self.counts["imu: without rates, left out"] += int(np.sum(~known & good))
                 good &= known
+            for start, end in self._held if kind == "reference" else ():
+                own = ns - self.mapping.shifts.get("reference", 0)
+                good &= (own < start) | (own > end)
             self._put(kind, ns, columns, good)
             if kind == "imu" and good.any():
                 self._newest = max(self._newest, int(ns[good].max()))
@@ -229,6 +235,8 @@ class Converter:
     def _mag(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
         axes = self.mapping.mag_axes(choice.body)
         raw = self.mapping.mag_unit * field(array)
+        raw[~raw.any(axis=1)] = np.nan  # no place on Earth is without a field
+        self.counts["mag: without a field"] += int(np.sum(np.isnan(raw).any(axis=1)))
         return {"mag_b": (raw - self.calibration.hard_iron) @ (axes @ self.calibration.soft_iron).T}
 
     def _fix(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:

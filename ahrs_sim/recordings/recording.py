@@ -145,6 +145,7 @@ def _opened(
     gate: Gate,
 ) -> Bag:
     chosen, seen, clock, notes = _looked(source, map_, span)
+    seen, held = _moving_reference(seen, map_, notes)
     place = _place(seen, map_)
     model = _field(place, source, map_, notes)
     norm = float(np.linalg.norm(model)) if model is not None else None
@@ -198,7 +199,9 @@ def _opened(
         site=site,
         sensors=sensors,
         estimators=components,
-        converter=Converter(chosen, map_, calibration, source.epoch_ns, choosing.first_height(source, chosen), clock),
+        converter=Converter(
+            chosen, map_, calibration, source.epoch_ns, choosing.first_height(source, chosen), clock, held
+        ),
         metadata=metadata,
         notes=notes,
         span=span,
@@ -234,6 +237,22 @@ def _looked(
     notes = [*choosing.described(chosen, clock.duration(source.duration)), *passed, *source.notes]
     notes += clock.notes
     return chosen, seen, clock, notes
+
+
+def _moving_reference(
+    seen: survey.Survey, map_: Map, notes: list[str]
+) -> tuple[survey.Survey, list[tuple[float, float]]]:
+    """Leave out where the reference stays while the gyro turns; return the spans (s of its own stamps) as well."""
+    held = survey.held(seen)
+    if not held:
+        return seen, []
+    seconds, times = sum(end - start for start, end in held), f", {len(held)} times" if len(held) > 1 else ""
+    notes.append(
+        f"reference: the very same for {seconds:.1f} s while the gyro turns, left out there: tracking lost, or not "
+        f"begun (from {held[0][0]:.1f} s on{times})"
+    )
+    shift = map_.shifts["reference"] / 1e9
+    return survey.without_held(seen, held), [(start - shift, end - shift) for start, end in held]
 
 
 def _nanoseconds(span: tuple[float, float]) -> tuple[float, float]:

@@ -5,7 +5,7 @@ Everything is kept as means over a tenth of a second, so an hour takes a few meg
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from ahrs_sim.world.gravity import STANDARD as G
 BIN_S = 0.1
 STILL_RATE, STILL_FORCE = math.radians(0.5), 0.15  # rad/s, m/s2: scatter within a second of standing
 STILL_TURN = math.radians(3.0)  # rad/s: a mean that could be a bias
+HELD_S = 2.0  # s: a reference that is slower is none
 GREATEST_BIAS = math.radians(15.0)  # rad/s: one that is when nothing turns
 
 
@@ -147,6 +148,30 @@ def _bins(t: np.ndarray, values: np.ndarray) -> np.ndarray:
 def reference_delay(s: Survey) -> float | None:
     """Estimate by how many s the reference attitude is later than the gyro; None: too little motion."""
     return time_shift(s.t, s.gyro_b, BIN_S, s.t_reference, s.q_nb)
+
+
+def held(s: Survey) -> list[tuple[float, float]]:
+    """Find spans (s) in which the reference attitude stays the very same while the gyro turns: tracking lost."""
+    if len(s.t_reference) < 2 or not len(s.t):
+        return []
+    turning = ~s._turn_is_bias()
+    same = np.r_[False, (np.diff(s.q_nb, axis=0) == 0.0).all(axis=1), False]
+    edges = np.flatnonzero(np.diff(same.astype(int)))
+    found = []
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        start, end = float(s.t_reference[first]), float(s.t_reference[last])
+        inside = turning[(s.t >= start) & (s.t <= end)]
+        if end - start >= HELD_S and len(inside) and inside.mean() > 0.3:
+            found.append((start, end))
+    return found
+
+
+def without_held(s: Survey, spans: Iterable[tuple[float, float]]) -> Survey:
+    """Drop the reference attitude within spans (s)."""
+    good = np.ones(len(s.t_reference), bool)
+    for start, end in spans:
+        good &= (s.t_reference < start) | (s.t_reference > end)
+    return replace(s, t_reference=s.t_reference[good], q_nb=s.q_nb[good])
 
 
 def field_at_rest(s: Survey, mag_b: np.ndarray) -> np.ndarray | None:

@@ -84,6 +84,7 @@ def write_bag(
     reference_delay: float = 0.0,
     with_place: bool = True,
     header: bool = True,
+    velocity: tuple[float, float, float] = (1.0, 2.0, 3.0),
 ) -> None:
     """A bag as mavros would lay it out; `order` says in which order the IMU sends the rows of the motion."""
     turn = frames.to_frd(body).T
@@ -120,7 +121,7 @@ def write_bag(
         if with_place:
             log.write(fix, ns(m.t[slow]), stamp[slow], latitude=np.full(n, LLA[0]), longitude=np.full(n, LLA[1]),
                       altitude=np.full(n, LLA[2]))  # fmt: skip
-        v = np.tile([1.0, 2.0, 3.0], (n, 1))
+        v = np.tile(velocity, (n, 1))
         log.write(vel, ns(m.t[slow]) + 300_000, stamp[slow] + 300_000, **{"twist.linear": v @ NED_TO[world].T})
         log.write(static, ns(m.t[slow]), stamp[slow], fluid_pressure=np.full(n, 99000.0))
         log.write(diff, ns(m.t[slow]), stamp[slow], fluid_pressure=np.full(n, 0.5 * 1.225 * 20.0**2))

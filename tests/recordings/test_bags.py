@@ -139,6 +139,52 @@ def test_a_placeholder_is_neither_imu_nor_reference(tmp_path: Path, moving: Moti
         opened(tmp_path / "b.mcap")
 
 
+@pytest.mark.parametrize(
+    ("kind", "changes", "why"),
+    [
+        ("mag", {"mag_b": 0.0}, "/imu/mag is no mag: its field never changes"),
+        ("mag", {"mag_b": 2e-5}, "/imu/mag is no mag: its field never changes"),
+        ("velocity", {}, "/gps/vel is no velocity: its velocity never changes from 0"),
+    ],
+)
+def test_a_placeholder_is_no_aid(tmp_path: Path, moving: Motion, kind: str, changes: dict[str, Any], why: str) -> None:
+    m = moving._replace(**{name: np.full((len(moving.t), 3), value) for name, value in changes.items()})
+    write_bag(tmp_path / "a.mcap", m, velocity=(1.0, 2.0, 3.0) if changes else (0.0, 0.0, 0.0))
+    bag = opened(tmp_path / "a.mcap", None)
+    assert kind not in bag.converter.chosen
+    assert why in bag.notes
+    assert not any("nan" in note for note in bag.notes)
+    write_bag(tmp_path / "a.mcap", moving, velocity=(0.0, 3.0, 0.0))
+    assert {"mag", "velocity"} <= set(opened(tmp_path / "a.mcap", None).converter.chosen)
+
+
+def test_fields_of_zeros_before_the_first_are_none(tmp_path: Path, moving: Motion) -> None:
+    late = moving._replace(mag_b=np.where(moving.t[:, None] < 5.0, 0.0, moving.mag_b))
+    write_bag(tmp_path / "a.mcap", late)
+    bag = opened(tmp_path / "a.mcap", None)
+    s = samples_of(bag)
+    assert np.isnan(s.mag_b[s.mag_new & (s.t < 5.0)]).all()
+    np.testing.assert_allclose(s.mag_b[s.mag_new & (s.t >= 5.0)], moving.mag_b[500::2], atol=1e-15)
+    assert "mag: without a field: 250" in bag.counted()
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.25])
+def test_a_reference_that_stays_while_the_gyro_turns_is_left_out(tmp_path: Path, moving: Motion, shift: float) -> None:
+    """Tracking lost: the last pose is sent on. A vehicle that stands has a reference that stays, too."""
+    lost = (moving.t > 20.0) & (moving.t <= 26.0)
+    held = moving._replace(q_nb=np.where(lost[:, None], moving.q_nb[2000], moving.q_nb))
+    text = f"[time]\nreference_s = {shift}\n"
+    write_bag(tmp_path / "a.mcap", held, reference_delay=-shift)
+    bag = opened(tmp_path / "a.mcap", text)
+    assert any("the very same for 6.0 s while the gyro turns" in note and "20.0 s on" in note for note in bag.notes)
+    assert not any(note.startswith("check") for note in bag.notes)
+    t = np.concatenate([block["bag"]["reference"].stamp_ns for block in bag.blocks()]) / 1e9
+    assert not ((t > 19.999) & (t < 26.001)).any()
+    assert len(t) == len(moving.t) - 601
+    write_bag(tmp_path / "b.mcap", moving)
+    assert not any("the very same" in note for note in opened(tmp_path / "b.mcap", None).notes)
+
+
 def test_rates_and_forces_in_turn(tmp_path: Path, moving: Motion) -> None:
     gyro, accel = moving.gyro_b.copy(), moving.accel_b.copy()
     gyro[::2], accel[1::2] = 0.0, 0.0
