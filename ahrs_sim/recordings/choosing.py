@@ -86,7 +86,8 @@ def choose(source: Source, mapping: Map, notes: list[str] | None = None) -> dict
     if "imu" not in chosen and mapping.topics.get("imu") is None:
         chosen = _apart(source, topics, mapping) | chosen
     if "imu" not in chosen:
-        why = f"; {passed[0]}" if passed else ""
+        there = ", ".join(f"{t.name} ({t.type_name.rpartition('/')[2]})" for t in list(topics.values())[:5])
+        why = f"; {passed[0]}" if passed else f"; it has {there}" if there else ""
         raise InputError(
             f"{source.path}: no IMU in it (no {IMU} with rates and forces{why}); name it with --map, [topics] imu"
         )
@@ -165,7 +166,7 @@ def _unfit(kind: str, topic: Topic, first: np.ndarray, source: Source) -> str:
             return "it has no orientation"
         if not _changes(source, topic.name, lambda block: frames.orientation(block, topic.type_name)):
             return "its orientation never changes"
-    if kind in _PLACEHOLDERS:
+    if kind in _PLACEHOLDERS and (kind != "heading" or topic.type_name == "ahrs_sim_msgs/msg/Heading"):
         what, values, only_zero = _PLACEHOLDERS[kind]
         if not (only_zero and values(first).any()) and not _changes(source, topic.name, values):
             return f"its {what} never changes{' from 0' if only_zero else ''}"
@@ -193,6 +194,7 @@ def _column(name: str, array: np.ndarray) -> np.ndarray:
 _PLACEHOLDERS: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray], bool]] = {
     "mag": ("field", functools.partial(_vector, "magnetic_field"), False),
     "velocity": ("velocity", _linear, True),
+    "heading": ("heading", functools.partial(_column, "heading"), False),
     "diff_pressure": ("pressure", functools.partial(_column, "fluid_pressure"), True),
     "air": ("airspeed", functools.partial(_column, "airspeed"), True),
 }

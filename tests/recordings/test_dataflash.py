@@ -95,6 +95,22 @@ def test_logs_of_milliseconds_have_the_clock_of_the_receiver_beside_their_own(tm
     assert [velocity[a] for a in "xyz"] == pytest.approx([0.0, 5.0, -2.0], abs=1e-9)
 
 
+def test_what_two_starts_of_the_board_wrote_does_not_meet(tmp_path: Path, moving: Motion) -> None:
+    """The longer one has no fixes: those of the other, whose clock runs through the same times, are not its own."""
+    columns = dict(zip(("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
+                       np.column_stack([moving.gyro_b, moving.accel_b]).T, strict=True))  # fmt: skip
+    first = assembled(MESSAGES, [rows("IMU", MESSAGES, TimeUS=np.rint(moving.t * 1e6) + 5e6, **columns)])
+    write_dataflash(tmp_path / "b.bin", motion(20.0, still=5.0), second=False)
+    second = (tmp_path / "b.bin").read_bytes()
+    for order in (first + second, second + first):
+        (tmp_path / "a.bin").write_bytes(order)
+        source = DataFlash(tmp_path / "a.bin")
+        assert [t.name for t in source.topics()] == ["IMU"]
+        assert source.topics()[0].count == len(moving.t)
+        assert any("begins anew: of the 2 parts the longest is used, " in note for note in source.notes)
+    assert not any("anew" in note for note in DataFlash(tmp_path / "b.bin").notes)
+
+
 def test_a_cut_or_damaged_log_is_read_up_to_there_and_behind(tmp_path: Path, moving: Motion) -> None:
     write_dataflash(tmp_path / "a.bin", moving)
     data = (tmp_path / "a.bin").read_bytes()

@@ -217,6 +217,20 @@ def test_rows_that_go_back(tmp_path: Path, moving: Motion) -> None:
     assert any(
         "time goes back by 329.99 s in row 3002: of the 2 parts the longest is used, rows 2 to 3001" in n for n in notes
     )
+    # fixes in the second part only are not those of the first
+    fixes = '[csv.fix]\nlatitude = {columns = ["lat"]}\nlongitude = {columns = ["lon"]}\naltitude = {columns = ["h"]}\n'
+    both = pd.concat([f.assign(lat=np.nan), short.assign(lat=LLA[0])]).assign(lon=LLA[1], h=100.0)
+    both.to_csv(tmp_path / "twice.csv", index=False)
+    with pytest.raises(InputError, match="no row of fix is in rows 2 to 3001, the longest part"):
+        samples_of(tmp_path / "twice.csv", MAP + fixes)
+    for part, name in (
+        (["time", "gx", "gy", "gz", "ax", "ay", "az"], "imu.csv"),
+        (["time", "lat", "lon", "h"], "fix.csv"),
+    ):
+        both.assign(lat=LLA[0])[part].to_csv(tmp_path / name, index=False)
+    text = MAP.replace("[csv.imu]", '[csv.imu]\nfile = "imu.csv"') + fixes.replace("fix]", 'fix]\nfile = "fix.csv"')
+    with pytest.raises(InputError, match=r"time goes back .* of several files each has to be one part"):
+        samples_of(tmp_path, text)
     pd.concat([short.iloc[i : i + 50][::1] for i in range(950, 0, -50)]).to_csv(tmp_path / "many.csv", index=False)
     pd.concat([f.iloc[i : i + 150] for i in range(2800, 0, -150)]).to_csv(tmp_path / "many.csv", index=False)
     with pytest.raises(InputError, match="times more; sort the rows"):

@@ -45,6 +45,16 @@ def test_the_receiver_that_the_autopilot_used(tmp_path: Path, moving: Motion) ->
     assert samples_of(path)[1]["velocity"] == "sensor_gps[1]/velocity"
 
 
+def test_a_heading_that_never_changes_is_none(tmp_path: Path, moving: Motion) -> None:
+    """Receivers without a second antenna fill the field with 0."""
+    for heading, chosen in ((0.0, False), (0.01 * np.arange(len(moving.t[::20])), True)):
+        with open_bag(
+            write(tmp_path / "a.ulg", inertial(moving), receiver(moving, heading=heading)), map_file=None
+        ) as bag:
+            assert ("heading" in bag.converter.chosen) == chosen
+            assert ("sensor_gps/heading is no heading: its heading never changes" in bag.notes) != chosen
+
+
 def test_without_a_fix_there_is_no_velocity(tmp_path: Path, moving: Motion) -> None:
     lost = (moving.t[::20] > 20) & (moving.t[::20] < 30)
     columns: dict[str, Any] = {k: np.where(lost, 0.0, v) for k, v in

@@ -26,8 +26,10 @@ from ahrs_sim.recordings.sources.base import (
     VELOCITY,
     BinaryLog,
     Columns,
+    believable,
     from_gps,
     gathered,
+    longest_part,
     numbered,
 )
 
@@ -46,6 +48,8 @@ _UNITS = {
     "deg": 1.0, "degheading": 1.0, "deglatitude": 1.0, "deglongitude": 1.0,
 }  # fmt: skip
 """SI value of the labels of UNIT, angles in deg."""
+
+_LONGEST_US = 10**9 * 10**3  # eleven days: no board runs for longer in one log
 
 _NUMBERED = {"IMU": "IMU", "MAG": "MAG", "GPS": "GPS", "BAR": "BARO", "ASP": "ARSP"}  # IMU2, BAR2: before instances
 _CORE_1 = {"NKF6": "NKF1", "XKF6": "XKF1"}
@@ -123,6 +127,31 @@ class Messages:
                     factors[column] = scale * _UNITS[units[unit]]
         return found
 
+    def keep_longest_start(self) -> tuple[int, int]:
+        """Keep what was written after one start of the board, the longest; return how many there are, messages lost.
+
+        Each start begins anew at 0, so what two sensors wrote after different ones must not meet.
+        """
+        timed = {n: k for n, (k, dtype, _) in self._formats.items() if (dtype.names or ())[1:2] == ("TimeUS",)}
+        name = max(timed, key=lambda n: len(self._offsets[self._rows.get(timed[n], slice(0))]), default="")
+        if not name or timed[name] not in self._rows:
+            return 1, 0
+        clock = self._gathered(timed[name], np.dtype([("head", "u1", 3), ("TimeUS", "<u8")]))["TimeUS"]
+        good = np.flatnonzero(clock < _LONGEST_US)
+        ns = clock[good].astype(np.int64) * 1000
+        near = believable(ns)
+        offsets = self._offsets[self._rows[timed[name]]][good[near]]
+        part, steps = longest_part(ns[near])
+        if not steps:
+            return 1, 0
+        first, last = offsets[part.start], offsets[part.stop - 1]
+        lost = 0
+        for kind, rows in self._rows.items():
+            low, high = np.searchsorted(self._offsets[rows], [first, last + 1]).tolist()
+            lost += rows.stop - rows.start - (high - low)
+            self._rows[kind] = slice(rows.start + low, rows.start + high)
+        return steps + 1, lost
+
     def _with(self, name: str, *columns: str) -> np.ndarray:
         """Read as `raw`; empty when a column is missing."""
         rows = self.raw(name)
@@ -175,6 +204,7 @@ class DataFlash(BinaryLog):
 
     def __init__(self, path: Path) -> None:
         self._log = Messages(path)
+        starts, lost = self._log.keep_longest_start()
         self._offset = self._utc_offset()
         topics, refused = gathered(
             self._imu, self._raw_imu, self._mag, self._gps, self._pressure, self._air, self._attitudes
@@ -184,6 +214,11 @@ class DataFlash(BinaryLog):
                 f"{path}: DataFlash without IMU, ATT or GPS messages (it has {', '.join(self._log.names)})"
             )
         super().__init__(path, topics, ATTITUDES)
+        if starts > 1:
+            self.notes.append(
+                f"the board's clock begins anew: of the {starts} parts the longest is used, {lost} messages of the "
+                "others left out"
+            )
         self._damage(refused, self._log.lost)
 
     def _utc_offset(self) -> int:

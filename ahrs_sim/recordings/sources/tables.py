@@ -96,12 +96,15 @@ class Csv(Held):
         self._root = path
         self._files: dict[tuple[Path, str], TextTable] = {}
         self._said: list[str] = []
+        self._parts: dict[Path, tuple[int, int]] = {}  # rows that are used of files whose clock steps back
         shared = {k: table.value(k) for k in CSV_KEYS if table.has(k)}
         topics: dict[str, Columns] = {}
         for kind in _KINDS:
             if table.has(kind):
                 topics |= self._of_kind(table.table(kind), kind, shared, table)
         table.close()
+        if self._parts and len({p for p, _ in self._files}) > 1:
+            raise InputError(f"{next(iter(self._parts))}: {self._said[-1]}; of several files each has to be one part")
         super().__init__(path, topics)
         self.notes += list(dict.fromkeys([n for f in self._files.values() for n in f.notes] + self._said))
 
@@ -246,7 +249,7 @@ class Csv(Held):
         rows = np.flatnonzero(good)
         if len(rows) == 0:
             raise InputError(f"{file.path}: {kind}: no row has all of its columns")
-        rows = self._forward(ns, rows, file)
+        rows = self._forward(kind, ns, rows, file)
         values = np.column_stack([v[rows] for k, v in columns.items() if not k.endswith("covariance")])
         fresh = np.r_[True, (np.diff(values, axis=0) != 0).any(axis=1)]
         runs = np.diff(np.r_[np.flatnonzero(fresh), len(rows)])
@@ -261,8 +264,18 @@ class Csv(Held):
         chosen = {k: (v[rows] if v.shape[1] > 1 else v[rows, 0]) for k, v in columns.items()}
         return Columns(_KINDS[kind][0], ns[rows], chosen, frame_id)
 
-    def _forward(self, ns: np.ndarray, rows: np.ndarray, file: TextTable) -> np.ndarray:
-        """Rows in the order of time: turned round where they descend, the longest part where the clock steps back."""
+    def _forward(self, kind: str, ns: np.ndarray, rows: np.ndarray, file: TextTable) -> np.ndarray:
+        """Rows in the order of time: turned round where they descend, the longest part where the clock steps back.
+
+        A part that is used for one kind is for all of the file: another one is of another time.
+        """
+        low, high = self._parts.get(file.path, (0, len(ns)))
+        rows = rows[(rows >= low) & (rows < high)]
+        if not len(rows):
+            raise InputError(
+                f"{file.path}: no row of {kind} is in rows {file.first_row + low} to {file.first_row + high - 1}, the "
+                "longest part without a step back of the clock; cut the file"
+            )
         steps = np.diff(ns[rows])
         if len(steps) > 2 and (steps <= 0).all() and (steps < 0).any():
             self._said.append(f"{file.path.name}: the rows go back in time: taken from the last to the first")
@@ -274,7 +287,9 @@ class Csv(Held):
         where = f"time goes back by {-steps[at] / 1e9:.6g} s in row {file.first_row + int(rows[at + 1])}"
         if back > 10:
             raise InputError(f"{file.path}: {where}, and {back - 1} times more; sort the rows")
-        first, last = file.first_row + int(rows[part.start]), file.first_row + int(rows[part.stop - 1])
+        low, high = int(rows[part.start]), int(rows[part.stop - 1]) + 1
+        self._parts[file.path] = low, high
+        first, last = file.first_row + low, file.first_row + high - 1
         self._said.append(
             f"{file.path.name}: {where}: of the {back + 1} parts the longest is used, rows {first} to {last}"
         )
