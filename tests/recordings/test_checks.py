@@ -177,7 +177,9 @@ def test_sensors_that_are_not_there() -> None:
     assert checks.missing({"imu", "mag"}, standing) == []
 
 
-@pytest.mark.parametrize("bias", [(0.0, 0.0, 0.0), (2.0, 0.0, 1.0), (0.0, 12.0, 0.0), (-6.0, 5.0, 8.0)])
+@pytest.mark.parametrize(
+    "bias", [(0.0, 0.0, 0.0), (2.0, 0.0, 1.0), (0.0, 12.0, 0.0), (14.8, 0.0, 0.0), (-8.0, 8.0, 9.0)]
+)
 def test_a_great_gyro_bias_is_known_standing(bias: tuple[float, float, float]) -> None:
     """Field and gravity stay where they are: what the gyro reads is its bias."""
     from ahrs_sim.recordings import calibration

@@ -1,15 +1,19 @@
 """How sensors are installed: what was planted is found within its sigma, what a flight does not show is not claimed."""
 
 import math
+import re
 import tomllib
 from pathlib import Path as File
 from typing import Any
 
 import numpy as np
 import pytest
-from flights import FIELD_N, Path, Planted, flown
+import ulog_helpers
+from bag_helpers import EPOCH
+from flights import FIELD_N, Path, Planted, flown, measured
 
 from ahrs_sim import attitude
+from ahrs_sim.cli import main
 from ahrs_sim.recordings import installation, mapping
 from ahrs_sim.recordings.checks import signed_axes
 from ahrs_sim.recordings.installation import Installation
@@ -107,3 +111,45 @@ def test_without_gnss_only_the_magnetometer_is_found() -> None:
     out = installation.find(s, s.mag, mapping.load(None), G, DIP)
     assert set(out.found) == {"mag"}
     assert any(line.startswith("GNSS: no velocity: not observable") for line in out.lines)
+
+
+def test_the_command_finds_it_in_a_file(tmp_path: File, capsys: pytest.CaptureFixture[str]) -> None:
+    """From a recording on disk to the lines of a map: calibration and checks lie between."""
+    p = planted(0)
+    log = tmp_path / "a.ulg"
+    as_ulog(log, measured(Path(0), p, seed=0))
+    assert main(["replay", str(log), "--find"]) == 0
+    out = capsys.readouterr().out
+    lines = tomllib.loads(out.split("lines for a map:")[-1])
+    assert lines["time"]["velocity_s"] == pytest.approx(-p.gnss_delay, abs=0.06)
+    assert lines["time"]["air_s"] == pytest.approx(-p.air_delay, abs=0.15)
+    assert lines["sensors"]["antenna_b"] == pytest.approx(p.lever_b, abs=1.2)
+    scale, sigma = re.findall(r"true airspeed is ([\d.]+) \+- ([\d.]+) of what is read", out)[0]
+    assert float(scale) == pytest.approx(p.air_scale, abs=3 * float(sigma))
+    as_ulog(log, measured(Path(circles=True), Planted(gnss_delay=0.3), seed=0))
+    assert main(["replay", str(log), "--find"]) == 0
+    assert "not observable in this recording" in capsys.readouterr().out
+
+
+def as_ulog(path: File, blocks: Any) -> None:
+    """Write the records of a flight as PX4 would log them."""
+    imu, mag, velocity, fix, air = (blocks[k] for k in ("imu", "mag", "velocity", "fix", "air"))
+    epoch = 5_000_000
+
+    def us(records: Any) -> np.ndarray:
+        stamps: np.ndarray = records.stamp_ns // 1000 + epoch
+        return stamps
+
+    ulog_helpers.write(
+        path,
+        ("sensor_combined", 0, "timestamp gyro_rad:float[3] accelerometer_m_s2:float[3]",
+         {"timestamp": us(imu), "gyro_rad": imu.gyro_b, "accelerometer_m_s2": imu.accel_b}),
+        ("vehicle_magnetometer", 0, "timestamp magnetometer_ga:float[3]",
+         {"timestamp": us(mag), "magnetometer_ga": 1e4 * mag.mag_b}),
+        ("vehicle_gps_position", 0, ulog_helpers.FIX,
+         {"timestamp": us(fix), "time_utc_usec": us(fix) + EPOCH // 1000, "fix_type": 3, "heading": np.nan,
+          **dict(zip(("latitude_deg", "longitude_deg", "altitude_ellipsoid_m"), fix.lla_deg.T, strict=True)),
+          **dict(zip(("vel_n_m_s", "vel_e_m_s", "vel_d_m_s"), velocity.vel_n.T, strict=True))}),
+        ("airspeed", 0, "timestamp indicated_airspeed_m_s:float true_airspeed_m_s:float",
+         {"timestamp": us(air), "indicated_airspeed_m_s": air.airspeed, "true_airspeed_m_s": air.airspeed}),
+    )  # fmt: skip

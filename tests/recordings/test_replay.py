@@ -142,6 +142,22 @@ def test_without_a_new_log_the_figures_are_the_same(flown: Path, tmp_path: Path)
         playback.evaluate(flown, start=30.0)
 
 
+def test_a_part_of_a_log_of_ours_and_of_a_recording(flown: Path, tmp_path: Path, capsys: Any) -> None:
+    """What lies outside of --skip and --until reaches no estimator; --from and --to only choose errors."""
+    write_bag(tmp_path / "a.mcap", motion(24.0, still=8.0), with_place=False)
+    for log, suite in ((flown, "@chr"), (tmp_path / "a.mcap", "")):
+        out = tmp_path / "out.mcap"
+        asked = ["replay", str(log), "-o", str(out), "--force", "--estimator", f"marg-ekf{suite}"]
+        assert main([*asked, "--skip", "9", "--until", "21", "--from", "10"]) == 0, capsys.readouterr().err
+        with FlightReader(out) as after:
+            (name,) = (n for n in after.estimators if n.startswith("marg-ekf"))
+            t = after.estimates(name).t
+        assert t[0] == pytest.approx(9.0, abs=0.03)
+        assert t[-1] == pytest.approx(21.0, abs=0.03)
+    assert main(["replay", str(flown), "--skip", "5", "--until", "4"]) == 2
+    assert "nothing is left between them" in capsys.readouterr().err
+
+
 def test_what_estimators_are_told_survives_exactly(flown: Path) -> None:
     loaded = scenario.load("circuit", duration=24.0)
     with FlightReader(flown) as log:
