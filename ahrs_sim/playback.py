@@ -154,7 +154,7 @@ def replay(
             recorded=[name for name in bag.recorded if name not in {c.name for c in bag.estimators}],
         )
         outcome = _run(recording, output, prefixes, force, progress, live, smooth)
-        return bag.notes + bag.counted() + outcome.lines()
+        return bag.notes + bag.counted() + outcome.lines(suspected=bag.suspected)
 
 
 def _cut(recording: Recording, skip: float, until: float) -> Recording:

@@ -80,8 +80,12 @@ class Outcome:
                 pair[0] += value
                 pair[1] += 1.0
 
-    def lines(self) -> list[str]:
-        """Say what is wrong, a line each; nothing where all is as it should be."""
+    def lines(self, *, suspected: bool = False) -> list[str]:
+        """Say what is wrong, a line each; nothing where all is as it should be.
+
+        Args:
+            suspected: checks have named a wrong unit, axis or delay, of which innovations are the consequence.
+        """
         found = []
         for name, seen in self._seen.items():
             if math.isnan(seen.aligned):
@@ -94,7 +98,9 @@ class Outcome:
             high = {m: value for m, value in nis.items() if value > HIGH}
             if high:
                 cause = "late, disturbed, or worse than [sensors] says"
-                if seen.from_ground:
+                if suspected:
+                    cause = "first mend what the checks above name"
+                elif seen.from_ground:
                     cause = 'noise as of the standing vehicle is too small in motion: noise = "practical"'
                 found.append(f"check: {name}: {_listed(high)}, right is 1: {cause}")
             if nis.get("vel_n", 1.0) < LOW:

@@ -51,6 +51,7 @@ class Bag:
     mag_b: np.ndarray  # (n, 3) T, of the survey, calibrated and in FRD
     mapping: Map
     has_place: bool
+    suspected: bool  # a wrong unit, axis or delay
 
     def __enter__(self) -> Self:
         return self
@@ -173,7 +174,8 @@ def _opened(
         field_n=model if place else None,
         delay=delay or 0.0,
     )
-    notes += [f"check: {line}" for line in [*checks.suspicions(seen, assumed, track), *checks.missing(chosen, seen)]]
+    suspected = checks.suspicions(seen, assumed, track)
+    notes += [f"check: {line}" for line in [*suspected, *checks.missing(chosen, seen)]]
     map_ = _synchronised(delay, map_, sync, notes) if reference else map_
     site = Site(
         lla=lla,
@@ -209,6 +211,7 @@ def _opened(
         mag_b=mag_b,
         mapping=map_,
         has_place=place is not None,
+        suspected=bool(suspected),
     )
 
 

@@ -57,6 +57,8 @@ def test_a_receiver_that_is_worse_or_better_than_told(block: Any, method: str) -
     ):
         lines = outcome(method, block, sensors).lines()
         assert [x for x in lines if x.startswith(f"check: {method}: NIS of GNSS velocity ") and words in x], lines
+    lines = outcome(method, block, SensorInfo(gnss_vel=0.01)).lines(suspected=True)
+    assert [x for x in lines if x.endswith("right is 1: first mend what the checks above name")] == lines
 
 
 def test_a_disturbed_magnetometer_is_the_one_that_is_named(block: Any) -> None:
