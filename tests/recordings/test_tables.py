@@ -1,5 +1,6 @@
 """Tables of text: dialects, several files, times in any form, and a line for what cannot be."""
 
+import csv
 import datetime
 from pathlib import Path
 from typing import Any
@@ -73,6 +74,10 @@ def test_dialects_give_the_same_samples(tmp_path: Path, moving: Motion) -> None:
     (tmp_path / "preamble.csv").write_text("My logger\nserial,7\n\n" + f.to_csv(index=False))
     (tmp_path / "hash.csv").write_text("#" + f.to_csv(index=False))
     (tmp_path / "crlf.csv").write_bytes(f.to_csv(index=False, lineterminator="\r\n").encode())
+    (tmp_path / "cr.csv").write_bytes(f.to_csv(index=False, lineterminator="\r").encode())
+    quoted = f.assign(**{"note, of the day": "a, b"})
+    quoted.to_csv(tmp_path / "quotes.csv", index=False, quoting=csv.QUOTE_ALL)
+    f.to_csv(tmp_path / "quoted_comma.csv", index=False, sep=";", decimal=",", quoting=csv.QUOTE_ALL)
     for path in sorted(tmp_path.glob("*.*")):
         s, _ = samples_of(path)
         check(s, moving)
@@ -167,6 +172,25 @@ def test_times_in_any_form(tmp_path: Path, moving: Motion, columns: dict[str, An
     assert (source.epoch_ns > DATES_FROM_NS) == dated
     if dated:
         assert source.epoch_ns == pytest.approx(EPOCH, abs=1000)
+
+
+def test_times_of_a_day_and_from_a_trigger_on(tmp_path: Path, moving: Motion) -> None:
+    """Over midnight, with a decimal comma beside dates with points, and negative before the trigger."""
+    f = frame(moving)
+    late = [datetime.datetime(2026, 6, 1, 23, 59, 50) + datetime.timedelta(seconds=float(t)) for t in moving.t]
+    f.assign(time=[f"{t:%H:%M:%S.%f}" for t in late]).to_csv(tmp_path / "a.csv", index=False)
+    check(samples_of(tmp_path / "a.csv")[0], moving)
+    dates = [f"{t:%d.%m.%Y %H:%M:%S,%f}" for t in late]
+    f.assign(time=dates).to_csv(tmp_path / "a.csv", index=False, sep=";", decimal=",")
+    form = MAP.replace('unit = "s"', 'format = "%d.%m.%Y %H:%M:%S,%f"')
+    check(samples_of(tmp_path / "a.csv", form)[0], moving)
+    f.assign(time=moving.t - 5.0).to_csv(tmp_path / "a.csv", index=False)
+    s, notes = samples_of(tmp_path / "a.csv")
+    check(s, moving)
+    assert any("its times start at -5 s: counted from there" in note for note in notes)
+    f.assign(time=46174.4 + moving.t / 86400).to_csv(tmp_path / "a.csv", index=False)
+    with pytest.raises(InputError, match=r"nor end after .* is their unit right"):
+        samples_of(tmp_path / "a.csv", MAP.replace('"s"', "86400"))
 
 
 def test_each_lost_value_is_named(tmp_path: Path, moving: Motion) -> None:

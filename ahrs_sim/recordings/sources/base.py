@@ -40,6 +40,9 @@ UNITS = {
 DATES_FROM_NS = 631_152_000 * 10**9
 """1990-01-01: a time before is none of a calendar, but that of a clock which started near 0."""
 
+LATEST_S = 2**31 - 1
+"""The last second that a ROS time can be."""
+
 _STEP_NS = 10**9
 """A stamp this much before the one before it is a step of the clock, not a late message."""
 
@@ -149,11 +152,17 @@ class Held:
         if not self._topics:
             raise InputError(f"{path}: nothing in it that could be replayed")
         self.epoch_ns = min(int(c.ns.min()) for c in self._topics.values())
+        if -LONGEST_S < self.epoch_ns / 1e9 < 0:  # counted from a trigger
+            self.notes.append(f"{path.name}: its times start at {self.epoch_ns / 1e9:g} s: counted from there")
+            for columns in self._topics.values():
+                columns.ns = columns.ns - self.epoch_ns
+            self.epoch_ns = 0
         self.duration = (max(int(c.ns.max()) for c in self._topics.values()) - self.epoch_ns) / 1e9
-        if self.epoch_ns < 0 or self.duration > LONGEST_S:
+        if self.epoch_ns < 0 or self.duration > LONGEST_S or self.epoch_ns / 1e9 + self.duration > LATEST_S:
             raise InputError(
                 f"{path}: its times go from {self.epoch_ns / 1e9:g} s on for {self.duration:g} s; they must not be "
-                f"negative, nor last longer than {LONGEST_S:g} s"
+                f"negative, nor last longer than {LONGEST_S:g} s, nor end after {LATEST_S:g} s (2038): is their unit "
+                "right?"
             )
 
     def topics(self) -> list[Topic]:

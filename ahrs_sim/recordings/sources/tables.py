@@ -44,7 +44,7 @@ from ahrs_sim.recordings.sources.base import (
     longest_part,
     one_line,
 )
-from ahrs_sim.recordings.sources.text import ISO_DATE, TextTable, read_file
+from ahrs_sim.recordings.sources.text import ISO_DATE, TIME_OF_DAY, TextTable, read_file
 from ahrs_sim.scenario.table import Table
 
 _KINDS: dict[str, tuple[str, dict[str, tuple[str, int, str]]]] = {  # type; by key of the map: field, size, dimension
@@ -322,6 +322,8 @@ def _clock(table: Table, file: TextTable) -> np.ndarray:
     name = table.text("column")
     if table.has("format") or (file.place(name) >= 0 and _is_date(file, name)):
         return _dated(file, name, table)
+    if file.place(name) >= 0 and _is_time_of_day(file, name):
+        return _of_day(file, name, table)
     unit = table.value("unit", None) or file.unit(name, "s")
     if not isinstance(unit, (int, float)) and unit not in _TIMES:
         raise table.error("unit", f"{unit!r} is none of {', '.join(_TIMES)}, a number of seconds")
@@ -341,6 +343,30 @@ def _clock(table: Table, file: TextTable) -> np.ndarray:
 def _is_date(file: TextTable, name: str) -> bool:
     column = file.frame.iloc[:, file.place(name)].dropna()
     return bool(len(column) and ISO_DATE.match(str(column.iloc[0])))
+
+
+def _is_time_of_day(file: TextTable, name: str) -> bool:
+    column = file.frame.iloc[:, file.place(name)].dropna()
+    return bool(len(column) and TIME_OF_DAY.match(str(column.iloc[0])))
+
+
+def _of_day(file: TextTable, name: str, table: Table) -> np.ndarray:
+    """Times (n,) ns of a day that is not known, counted on over midnight."""
+    import pandas
+
+    table.has("unit")
+    column = file.frame.iloc[:, file.place(name)]
+    times = pandas.to_timedelta(column, errors="coerce")
+    lost = np.flatnonzero((times.isna() & column.notna()).to_numpy())
+    if len(lost):
+        file.notes.append(
+            f"{file.path.name}: {name}: {len(lost)} rows without a time, the first {file.cell(column, lost[0])}"
+        )
+    out = np.full(len(column), np.nan)
+    known = times.notna().to_numpy()
+    seconds = times[known].dt.total_seconds().to_numpy(float)
+    out[known] = 1e9 * (seconds + 86400.0 * np.cumsum(np.diff(seconds, prepend=seconds[:1]) < -43200.0))
+    return out
 
 
 def _dated(file: TextTable, name: str, table: Table) -> np.ndarray:

@@ -1,5 +1,6 @@
 """One table of text: its encoding, header, separator, decimal sign and units, found where they are not given."""
 
+import csv
 import io
 import itertools
 import re
@@ -29,6 +30,8 @@ _SPELT = {
 
 _BRACKETS = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 _SEPARATORS = (",", ";", "\t", "|")
+_DATES = re.compile(r"\d+\.\d+\.\d+")
+TIME_OF_DAY = re.compile(r"^\s*\d{1,2}:\d\d:\d\d([.,]\d+)?\s*$")
 ISO_DATE = re.compile(r"^\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
 
 
@@ -185,6 +188,8 @@ def _decoded(path: Path, data: bytes, encoding: str | None, notes: list[str]) ->
             continue
         if "\0" in text[:10000]:
             break
+        if "\n" not in text[: 1 << 16]:  # lines may end as they did on old Macs
+            text = text.replace("\r", "\n")
         if name == "cp1252" and not encoding:
             notes.append(f"{path.name}: not UTF-8, read as cp1252 ([csv] encoding)")
         return text
@@ -233,7 +238,12 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    parts = line.split() if separator == " " else line.split(separator)
+    if separator == " ":
+        parts = line.split()
+    elif '"' in line and len(separator) == 1:  # a separator within quotes is none
+        parts = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    else:
+        parts = line.split(separator)
     return [p.strip().strip('"').strip() for p in parts]
 
 
@@ -253,8 +263,8 @@ def _separator(lines: Sequence[str]) -> str:
 
 
 def _decimal(body: str, separator: str) -> str:
-    sample = body[:20000]
-    comma = separator != "," and re.search(r"(^|[;\t| ])-?\d+,\d+", sample, re.M)
+    sample = _DATES.sub("", body[:20000])
+    comma = separator != "," and re.search(r"(^|[;\t| \"])-?\d+,\d+", sample, re.M)
     return "," if comma and not re.search(r"\d\.\d", sample) else "."
 
 
