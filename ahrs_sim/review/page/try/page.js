@@ -97,7 +97,8 @@ function sampled(t, values, grid, { circular, compass }) {
       if (Number.isFinite(y) && (found === null || (!compass && Math.abs(y) > Math.abs(found)))) found = y;
     }
     if (found !== null && compass) found = (found + 360) % 360;
-    out[g] = circular && found !== null && before !== null && Math.abs(found - before) > 180 ? null : found;
+    out[g] = found;
+    if (circular && found !== null && before !== null && Math.abs(found - before) > 180) out[g - 1] = out[g] = null; // a jump by a turn
     before = found;
   }
   return out;
@@ -112,8 +113,11 @@ function limits(lines, positive) {
   return { range: [positive ? 0 : -top, top], beyond: level.filter((l) => l > 8 * Math.max(middle, 0.02)).length };
 }
 
+// Gaps a pixel wider on both sides: a line across one is steep, and its ends would show.
+const wider = (u, series, from, to, gaps) => gaps.map(([a, b]) => [a - devicePixelRatio, b + devicePixelRatio]);
+
 function plot(parent, title, { lines, positive, attitude }) {
-  const width = Math.max(220, parent.clientWidth), shown = lines.filter((l) => l.values), count = Math.max(200, Math.min(2000, Math.round(1.5 * width)));
+  const width = Math.max(220, parent.clientWidth), shown = lines.filter((l) => l.values), count = Math.max(200, Math.round(width - 60)); // one a pixel: closer, and gaps would be filled
   const grid = Float64Array.from({ length: count }, (_, i) => view[0] + (view[1] - view[0]) * i / (count - 1));
   const made = shown.map((l) => sampled(l.t, l.values, grid, l)), head = [element("b", { textContent: `${title}, deg` })];
   const robust = !attitude && $("robust").checked ? limits(made, positive) : null;
@@ -126,7 +130,7 @@ function plot(parent, title, { lines, positive, attitude }) {
     cursor: { y: false, points: { show: false }, sync: { key: "time" }, drag: { x: true, y: false, setScale: false }, bind: { dblclick: () => () => { zoom(...whole()); return null; } } },
     scales: { x: { time: false, range: () => view }, y: robust ? { range: () => robust.range } : {} },
     axes: [{ ...axis, size: 22, gap: 2, values: (_, v) => v.map((t) => `${+t.toFixed(2)} s`) }, { ...axis, size: 52, gap: 4, incrs: [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 45, 90, 180] }],
-    series: [{}, ...shown.map((l) => ({ stroke: l.color, width: l.width ?? 1.3, dash: l.dash, points: { show: false }, spanGaps: false }))],
+    series: [{}, ...shown.map((l) => ({ stroke: l.color, width: l.width ?? 1.3, dash: l.dash, points: { show: false }, spanGaps: false, gaps: wider }))],
     hooks: { setSelect: [(u) => { if (u.select.width > 4) setTimeout(zoom, 0, u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x")); }] },
   }, [grid, ...made], box));
 }
