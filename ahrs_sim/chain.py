@@ -18,6 +18,7 @@ from ahrs_sim.scenario import Component, create_estimator
 from ahrs_sim.sensors.assemble import Assembler
 from ahrs_sim.sensors.records import SuiteBlock
 from ahrs_sim.sensors.suite import Suite
+from ahrs_sim.turning import TurnAndSlip, Turning
 from ahrs_sim.world import gravity, magnetic
 from estimators.types import MEASUREMENTS, Estimates, Samples, SensorInfo, Site
 
@@ -45,6 +46,7 @@ class Chain:
         self.estimators = dict(estimators)
         self.pending: list[Truth] = []  # flown, not sensed yet: short blocks are put together where nothing is urgent
         self._assembler = Assembler()
+        self._turns = {name: TurnAndSlip() for name in self.estimators}
 
     @property
     def suite(self) -> Suite:
@@ -64,6 +66,10 @@ class Chain:
         """Run every estimator on a block of samples; yield its name and its estimates, row by row of the samples."""
         for name, estimator in self.estimators.items():
             yield name, estimator.process(samples)
+
+    def turning(self, name: str, samples: Samples, estimates: Estimates) -> Turning:
+        """Make turn rate and slip of what an estimator has reported for a block of samples."""
+        return self._turns[name].of(samples, estimates)
 
     def take_events(self) -> list[Event]:
         """Collect events of the estimators and of the suite since the last call."""

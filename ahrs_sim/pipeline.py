@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from ahrs_sim import plugins
+from ahrs_sim import attitude, plugins
 from ahrs_sim.chain import Chain, described, site
 from ahrs_sim.errors import FlightError
-from ahrs_sim.evaluation.decimate import RowDecimator
+from ahrs_sim.evaluation.decimate import RowDecimator, take
 from ahrs_sim.flight import BLOCK_S, Flight, open_flight
 from ahrs_sim.flight.truth import Event, Setpoints, Truth
 from ahrs_sim.log.flight_log import FlightLog
@@ -28,6 +28,7 @@ from ahrs_sim.scenario import Scenario, create_estimator
 from ahrs_sim.sensors import make_suite
 from ahrs_sim.sensors.faults import check_suites
 from ahrs_sim.sensors.records import Answers, Record, SuiteBlock
+from ahrs_sim.turning import TurnAndSlip, Turning
 from estimators.types import Estimates, Samples, SensorInfo, Site
 
 if TYPE_CHECKING:
@@ -165,6 +166,7 @@ def _run(chain: Chain, record: "_Recorder", flight: Flight, pilot: str, outside:
     samples = chain.assemble(records)
     for name, estimates in chain.estimate(samples):
         record.estimates(name, estimates)
+        record.turning(name, chain.turning(name, samples, estimates))
         if name == pilot:
             _feed_back(flight, estimates, samples.gyro_b)
     if outside:
@@ -183,6 +185,8 @@ class _Recorder:
         self.setpoint_list: list[Setpoints] = []
         self.records: dict[tuple[str, str], list[Record]] = {}
         self.estimate_lists: dict[str, list[Estimates]] = {}
+        self.turn_lists: dict[str | None, list[Turning]] = {}  # None: the truth
+        self.true_turn = TurnAndSlip()
         self.event_list: list[Event] = []
         self.flushed_to = 0.0
 
@@ -205,6 +209,11 @@ class _Recorder:
         if len(block):
             self.estimate_lists.setdefault(name, []).append(block)
 
+    def turning(self, name: str | None, block: Turning) -> None:
+        """Buffer turn rate and slip of an estimator, or of the truth (None)."""
+        if len(block):
+            self.turn_lists.setdefault(name, []).append(block)
+
     def events(self, events: list[Event]) -> None:
         """Buffer events."""
         self.event_list.extend(events)
@@ -219,20 +228,35 @@ class _Recorder:
         """Hand on what is buffered; with `t` (s), everything up to there has come."""
         truth = Truth.concatenate(self.truths) if self.truths else None
         estimates = {name: type(blocks[0]).concatenate(blocks) for name, blocks in self.estimate_lists.items()}
+        seen = take(truth, self.compared.rows(len(truth))) if truth is not None else None
+        if seen is not None:
+            down_b = attitude.down(seen.q_nb)
+            self.turning(None, self.true_turn.add(seen.t, seen.rate_ib_b, seen.accel_b, down_b))
+        turns = {name: Turning.concatenate(blocks) for name, blocks in self.turn_lists.items()}
         if self.log:
-            self._write(self.log, truth, estimates, t)
+            self._write(self.log, truth, estimates, turns, t)
         if self.accuracy:
-            if truth is not None:
-                rows = self.compared.rows(len(truth))
-                self.accuracy.add_truth(truth.t[rows], truth.q_nb[rows], truth.vel_n[rows], truth.on_ground[rows])
+            if seen is not None:
+                self.accuracy.add_truth(seen.t, seen.q_nb, seen.vel_n, seen.on_ground)
             for steps in self.setpoint_list:
                 self.accuracy.add_steps(steps.t, steps.step)
             for name, block in estimates.items():
                 self.accuracy.add_estimates(name, block)
-        for buffer in (self.truths, self.setpoint_list, self.records, self.estimate_lists, self.event_list):
+            for who, turning in turns.items():
+                self.accuracy.add_turning(who, turning.t, turning.turn_rate, turning.slip)
+        for buffer in (
+            self.truths, self.setpoint_list, self.records, self.estimate_lists, self.turn_lists, self.event_list,
+        ):  # fmt: skip
             buffer.clear()
 
-    def _write(self, log: FlightLog, truth: Truth | None, estimates: dict[str, Estimates], t: float | None) -> None:
+    def _write(
+        self,
+        log: FlightLog,
+        truth: Truth | None,
+        estimates: dict[str, Estimates],
+        turns: dict[str | None, Turning],
+        t: float | None,
+    ) -> None:
         if truth is not None:
             log.truth(truth)
         if self.setpoint_list:
@@ -241,6 +265,8 @@ class _Recorder:
             log.record(suite, instrument, type(blocks[0]).concatenate(blocks))
         for name, block in estimates.items():
             log.estimates(name, block)
+        for who, turning in turns.items():
+            log.turning(who, turning)
         log.events(self.event_list)
         if t is not None:
             log.advance(t - self.hold_s)

@@ -335,6 +335,7 @@ def _run(
                 samples = chains[suite].assemble(block)
                 for name, estimates in chains[suite].estimate(samples):
                     topics.write(name, estimates)
+                    topics.turning(name, chains[suite].turning(name, samples, estimates))
                     outcome.add(name, estimates)
                 if smoothing:
                     smoothing.keep(suite, samples)

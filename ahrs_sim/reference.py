@@ -228,7 +228,11 @@ def _lines() -> Iterator[str]:
                 "Further tables override figures of the grade, e.g. `[suite.chr.gyro]`: see *Grades* below.",
             )
         if name == "estimator.NAME":
-            yield from ("", "Other keys are settings of the method: `ahrs-sim list estimators NAME`.")
+            yield from (
+                "",
+                "Other keys are settings of the method: `ahrs-sim list estimators NAME`. Without any such table the",
+            )
+            yield "line-up of the paper flies: EKF, CKF and CDKF on the first suite, the EKF on each other."
     yield from ("", "## `[[step]]`: manoeuvres", "")
     yield from ('Each step says `do = "NAME"`. They are flown one after the other.',)
     for name, (text, keys) in manoeuvres().items():

@@ -84,13 +84,13 @@ def run(arguments: argparse.Namespace) -> int:
     store = campaign.Store(arguments.output)
     if keep and store.remote:
         raise InputError("--keep-logs needs a local -o; fly single runs with ahrs-sim fly --from DIR --run N")
-    if (there := campaign.begin(plan, store)) and not arguments.quiet:
+    if (there := campaign.flown(plan, store)) and not arguments.quiet:
         print(f"{store.place}: {there} of {plan.runs} runs are there, {plan.runs - there} to fly", file=sys.stderr)
     try:
         with pools.pool(arguments.workers, arguments.scheduler) as pool:
             campaign.fly(plan, store, pool, Progress(f"flying {plan.name}", unit="runs", hidden=hidden))
     except KeyboardInterrupt:
-        there = campaign.begin(plan, store)
+        there = campaign.flown(plan, store)
         kept = f"{there} of {plan.runs} runs are in {store.place}; the same command flies the rest"
         raise KeyboardInterrupt(f"stopped; {kept}") from None
     if keep:

@@ -45,6 +45,7 @@ class Accuracy:
         self._thinned = {name: Decimator(NEES_RATE) for name in self._parts}
         self._nees: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {name: [] for name in self._parts}
         self._times = np.empty(0)
+        self._turns: dict[str | None, list[tuple[np.ndarray, ...]]] = {}  # t, turn rate, slip; None: the truth's
         self.begins: dict[int, float] = {}  # s, of every step of the flight, numbered from 1
 
     def add_steps(self, t: np.ndarray, step: np.ndarray) -> None:
@@ -66,6 +67,10 @@ class Accuracy:
         if len(block):
             as_logged = {"t": _whole_ns(block.t), "att_cov": block.att_cov.astype(np.float32)}
             self._evaluator.add(name, replace(block, **as_logged))
+
+    def add_turning(self, name: str | None, t: np.ndarray, turn_rate: np.ndarray, slip: np.ndarray) -> None:
+        """Take turn rate (n,) rad/s and slip (n,) rad at `t` (n,) s, rising, of an estimator or the truth (None)."""
+        self._turns.setdefault(name, []).append((t, turn_rate, slip))
 
     def _keep(self, name: str, pair: Comparison) -> None:
         t = pair.estimates.t
@@ -93,8 +98,8 @@ class Accuracy:
         """Summarise a part of the flight, from `low` to `high` (s), by estimator.
 
         Returns:
-            What `result` has of the whole span, `MEASURE_worst_s`, when the error was largest, where it is known, and
-            `turn_rate_STATISTIC_dps`: how wrong the turn rate is that the estimated heading changes by in a second.
+            What `result` has of the whole span, `turn_rate_STATISTIC_dps` and `slip_STATISTIC_deg` where they were
+            taken, and `MEASURE_worst_s`, when the error was largest, where it is known.
         """
         found: dict[str, dict[str, Any]] = self.result(low=low, high=high)["estimators"]
         for name, parts in self._parts.items():
@@ -104,8 +109,22 @@ class Accuracy:
             found[name] |= {
                 f"{m}_worst_s": float(t[np.nanargmax(x)]) for m, x in columns.items() if np.isfinite(x).any()
             }
-            rate = metrics.rate_errors(t, _column(errors, Measure.HEADING))
-            found[name] |= _finite(metrics.figures("turn_rate", rate, unit="dps"))
+            found[name] |= self._turning(name, low, high)
+        return found
+
+    def _turning(self, name: str, low: float, high: float) -> dict[str, Any]:
+        """Summarise the errors of turn rate and slip from `low` to `high` (s), against the truth at the same times."""
+        if not (name in self._turns and None in self._turns):
+            return {}
+        t, *values = (np.concatenate(column) for column in zip(*self._turns[name], strict=True))
+        true_t, *true = (np.concatenate(column) for column in zip(*self._turns[None], strict=True))
+        rows = (t >= max(low, true_t[0])) & (t <= min(high, true_t[-1]))
+        found: dict[str, Any] = {}
+        for measure, unit, value, truth in zip(("turn_rate", "slip"), ("dps", "deg"), values, true, strict=True):
+            error = value[rows] - np.interp(t[rows], true_t, truth)
+            found |= _finite(metrics.figures(measure, error, unit=unit))
+            if np.isfinite(error).any():
+                found[f"{measure}_worst_s"] = float(t[rows][np.nanargmax(np.abs(error))])
         return found
 
     def result(

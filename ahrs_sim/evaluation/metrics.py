@@ -91,28 +91,12 @@ STATISTICS: dict[str, Callable[[np.ndarray], float]] = {
 """What is made of the absolute errors (n,) deg of a measure; called in this order, may reorder them."""
 
 
-def rate_errors(t: np.ndarray, errors: np.ndarray, over: float = 1.0) -> np.ndarray:
-    """Compute by how much (n,) rad/s the change of an angle over the last `over` seconds is wrong.
-
-    Args:
-        t: (n,) s, rising.
-        errors: (n,) rad, of the angle; NaN, as is what has no row `over` seconds before.
-        over: s.
-    """
-    if not len(t):
-        return np.empty(0)
-    before = np.clip(np.searchsorted(t, t - over - 1e-6), 0, len(t) - 1)
-    gap = np.abs(t - t[before] - over) > 0.05 * over
-    change = wrap(errors.astype(float) - errors[before]) / over
-    return np.where(gap, np.nan, change)
-
-
 def figures(measure: str, errors: np.ndarray, unit: str = "deg") -> dict[str, float]:
     """Compute every statistic of |error| in deg of one measure, `MEASURE_STATISTIC_deg`; NaN when none is finite.
 
     Args:
         measure: its name.
-        errors: (n,) rad.
+        errors: (n,) rad, or rad/s.
         unit: at the end of the names.
     """
     values = np.degrees(np.abs(errors[np.isfinite(errors)].astype(float)))

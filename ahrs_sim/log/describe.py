@@ -21,9 +21,10 @@ def reference() -> str:
     suite += [_behind("/<suite>", route) for route in topics.STATUS.values()]
     suite.append(_behind("/<suite>", topics.TEMPERATURE))
     estimator = [
-        _behind("/est/<name>", route) for route in (topics.STATE, topics.ESTIMATED_IMU, topics.ATTITUDE, topics.ERRORS)
+        _behind("/est/<name>", route)
+        for route in (topics.STATE, topics.ESTIMATED_IMU, topics.ATTITUDE, topics.TURN, topics.ERRORS)
     ]
-    truth = (*topics.TRUTH, topics.TRUTH_ATTITUDE, topics.TRUTH_FIX, topics.TF, topics.TF_STATIC)
+    truth = (*topics.TRUTH, topics.TRUTH_ATTITUDE, topics.TRUTH_TURN, topics.TRUTH_FIX, topics.TF, topics.TF_STATIC)
     parts = ["## Topics", "", "### Truth", "", *_topics(truth)]
     parts += ["", "### Each sensor suite", "", *_topics(suite)]
     parts += ["", "### Each estimator", "", *_topics(estimator)]

@@ -44,9 +44,12 @@ from ahrs_sim.log.topics import (
     TRUTH_ATTITUDE,
     TRUTH_FIX,
     TRUTH_RATE,
+    TRUTH_TURN,
+    TURN,
     Route,
 )
 from ahrs_sim.sensors.records import Answers, FixRecord, ImuRecord, MagRecord, Record
+from ahrs_sim.turning import Turning
 from ahrs_sim.world import wgs84
 from estimators.types import Estimates
 
@@ -72,6 +75,7 @@ class EstimateTopics:
             name: [route.channel(writer, f"/est/{name}") for route in (STATE, ESTIMATED_IMU, ATTITUDE, ERRORS)]
             for name in names
         }
+        self._turns = {name: TURN.channel(writer, f"/est/{name}") for name in self._channels}
         self._twins = twins
         for name in self._channels:
             if twins:
@@ -100,6 +104,11 @@ class EstimateTopics:
             self.writer.write(imu, arrival, times, **columns)
             if self._twins:
                 self._twins.write(ESTIMATED_IMU, f"/est/{name}", arrival, times, columns)
+
+    def turning(self, name: str, block: Turning) -> None:
+        """Write turn rate and slip of one estimator."""
+        times = nanoseconds(self.epoch_ns, block.t)
+        self.writer.write(self._turns[name], times, times, **TURN.columns(block))
 
     def _plot(self, name: str, block: Estimates) -> None:
         """Write attitudes at `PLOT_RATE`, and errors as soon as the reference is there."""
@@ -185,6 +194,7 @@ class FlightLog:
                 twins.add(route)
         self._fix = TRUTH_FIX.channel(writer)
         self._attitude = TRUTH_ATTITUDE.channel(writer)
+        self._turn = TRUTH_TURN.channel(writer)
         self._events = EVENTS.channel(writer)
         self._setpoints = SETPOINTS.channel(writer)
         self._instruments: dict[tuple[str, str], LogChannel] = {}
@@ -286,6 +296,14 @@ class FlightLog:
     def estimates(self, name: str, block: Estimates) -> None:
         """Write what an estimator reports."""
         self._estimates.write(name, block)
+
+    def turning(self, name: str | None, block: Turning) -> None:
+        """Write turn rate and slip of an estimator, or of the truth (None)."""
+        if name is not None:
+            self._estimates.turning(name, block)
+        elif len(block):
+            times = self._ns(block.t)
+            self.writer.write(self._turn, times, times, **TRUTH_TURN.columns(block))
 
     def setpoints(self, block: Setpoints) -> None:
         """Write the set-points of the pilot."""

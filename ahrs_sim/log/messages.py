@@ -198,6 +198,10 @@ float64 total # rad, angle of the whole rotation; NaN without a heading
 float64 roll_sigma # rad, one sigma as the estimator claims it; NaN where it claims none
 float64 pitch_sigma # rad
 float64 heading_sigma # rad
+MSG: ahrs_sim_msgs/TurnSlip
+std_msgs/Header header
+float64 turn_rate # rad/s, of the heading, positive to the right; NaN while not known
+float64 slip # rad, angle of the ball, positive to the right; NaN while not known
 MSG: ahrs_sim_msgs/Setpoints
 std_msgs/Header header
 int32 step # of the scenario, from 0

@@ -26,6 +26,8 @@ from ahrs_sim.sensors.records import (
     Record,
     VelocityRecord,
 )
+from ahrs_sim.turning import AVERAGE_S
+from ahrs_sim.turning import RATE as TURN_RATE
 from estimators.types import Columns
 
 NED = "map_ned"
@@ -33,9 +35,9 @@ FRD = "base_link_frd"
 
 TRUTH_RATE = 100.0  # Hz, of the truth in the log
 TF_RATE = 50.0  # Hz, of the moving frame
+PLOT_RATE = 10.0  # Hz, of attitudes and errors for plots
 FIX_RATE = 5.0  # Hz, of the true position for maps
 TEMPERATURE_EVERY = 50  # IMU messages
-PLOT_RATE = 10.0  # Hz, of attitudes and errors for plots
 
 _UNKNOWN = np.r_[-1.0, np.zeros(8)]  # ROS for a field that is not reported
 _HALF = float(np.sqrt(0.5))
@@ -152,6 +154,13 @@ TRUTH_ATTITUDE = Route(
     "ahrs_sim_msgs/msg/Attitude",
     NED,
     f"Roll, pitch and heading for plots, {PLOT_RATE:g} Hz.",
+)
+TRUTH_TURN = Route(
+    "/truth/turn",
+    "ahrs_sim_msgs/msg/TurnSlip",
+    FRD,
+    f"Turn rate and slip over the last {AVERAGE_S:g} s, as a turn-and-slip indicator shows them, {TURN_RATE:g} Hz.",
+    {"turn_rate": "turn_rate", "slip": "slip"},
 )
 TF = Route(
     "/tf",
@@ -349,6 +358,13 @@ ATTITUDE = Route(
     "ahrs_sim_msgs/msg/Attitude",
     NED,
     f"Roll, pitch and heading for plots, {PLOT_RATE:g} Hz.",
+)
+TURN = Route(
+    "/turn",
+    "ahrs_sim_msgs/msg/TurnSlip",
+    FRD,
+    f"Turn rate and slip as of the truth: of its vertical, and of its IMU less its biases, {TURN_RATE:g} Hz.",
+    {"turn_rate": "turn_rate", "slip": "slip"},
 )
 ERRORS = Route(
     "/errors",

@@ -360,7 +360,18 @@ class Store:
         return manifest
 
     def begin(self, plan: Plan) -> None:
-        """Write the manifest, or check that the campaign here is the same one; more runs may be asked for.
+        """Write the manifest.
+
+        Raises:
+            InputError: the folder already holds a different campaign.
+        """
+        self.write("manifest.json", json.dumps(self.check(plan), indent=1).encode())
+
+    def check(self, plan: Plan) -> dict[str, Any]:
+        """Check that the campaign here, if there is one, is the same; more runs may be asked for.
+
+        Returns:
+            The manifest of both.
 
         Raises:
             InputError: the folder already holds a different campaign.
@@ -380,7 +391,7 @@ class Store:
             if old.get("versions") != new["versions"]:
                 raise InputError(f"{self.place}: was flown with other versions ({old.get('versions')}); start anew")
             new["runs"] = max(new["runs"], runs)
-        self.write("manifest.json", json.dumps(new, indent=1).encode())
+        return new
 
     # -- rows
 
@@ -455,13 +466,13 @@ def _arrow_types(plan: Plan, pa: Any) -> Callable[[str], Any]:
 # ----------------------------------------------------------------------------------------------- flying
 
 
-def begin(plan: Plan, store: Store) -> int:
-    """Write the plan into its store, or check that it is the one there; returns how many of its runs have been flown.
+def flown(plan: Plan, store: Store) -> int:
+    """Count the runs of a plan that are in its store.
 
     Raises:
         InputError: the store holds a different campaign.
     """
-    store.begin(plan)
+    store.check(plan)
     return len(store.done().intersection(range(plan.runs)))
 
 
@@ -480,13 +491,15 @@ def fly(plan: Plan, store: Store, pool: Pool, progress: Callable[[int, int], Non
     Raises:
         InputError: the store holds a different campaign, or no run can be flown as the scenario is.
     """
-    store.begin(plan)
+    store.check(plan)
     done = store.done()
     missing = [k for k in range(plan.runs) if k not in done]
+    of = plan.values()
+    if missing:
+        flights.warm_up(pool, [plan.run(missing[0], of(missing[0]))])
+    store.begin(plan)  # a plan of which no run can be flown leaves nothing
     if not missing:
         return 0
-    of = plan.values()
-    flights.warm_up(pool, [plan.run(missing[0], of(missing[0]))])
     number = 1 + max((int(name[5:-8]) for name in store.files()), default=-1)
     waiting: list[Outcome] = []
     written = time.monotonic()

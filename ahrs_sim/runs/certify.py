@@ -50,8 +50,17 @@ from ahrs_sim.runs.pool import Pool, Span
 from ahrs_sim.scenario.table import Table, overlay, read_toml
 
 SHIPPED = "certification.toml"
-FIGURES = tuple(f"{m}_{s}_deg" for m in MEASURES for s in STATISTICS) + tuple(f"turn_rate_{s}_dps" for s in STATISTICS)
+FIGURES = (
+    *(f"{m}_{s}_deg" for m in (*MEASURES, "slip") for s in STATISTICS),
+    *(f"turn_rate_{s}_dps" for s in STATISTICS),
+)
 """What a limit can be of."""
+
+
+def measure_of(figure: str) -> str:
+    """Cut statistic and unit off a figure: `turn_rate` of `turn_rate_p95_dps`."""
+    return figure.rsplit("_", 2)[0]
+
 
 AVAILABLE = 0.99
 """Share of a row's time with an attitude; a flight with less exceeds every limit of the row."""
@@ -332,8 +341,7 @@ def _finding(standard: Standard, requirement: Requirement, rows: Sequence[Mappin
     result = NOT_MET if lower > requirement.limit else MET if bound <= requirement.limit else NOT_SHOWN
     found = float(np.quantile(values, standard.quantile, method="higher"))
     worst = rows[int(values.argmax())]
-    measure = "heading" if figure.startswith("turn_rate") else figure.partition("_")[0]
-    moment = worst.get(f"{name}.{measure}_worst_s")
+    moment = worst.get(f"{name}.{measure_of(figure)}_worst_s")
     return Finding(requirement, values, found, bound, result, worst["run"], math.nan if moment is None else moment)
 
 

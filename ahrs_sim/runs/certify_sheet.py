@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ahrs_sim.runs import campaign
-from ahrs_sim.runs.certify import MET, NOT_MET, Finding, Sheet, Standard
+from ahrs_sim.runs.certify import MET, NOT_MET, Finding, Sheet, Standard, measure_of
 from ahrs_sim.runs.junit import Case, document
 from ahrs_sim.runs.pool import Pool, fly_all
 
@@ -42,8 +42,8 @@ def summary(standard: Standard, sheet: Sheet) -> str:
 def _notes(standard: Standard, sheet: Sheet) -> Iterator[str]:
     """Write the notes under the sheet: meaning of the columns, source of the limits."""
     yield (
-        f"found: {100 * standard.quantile:g} % quantile over {sheet.runs} flights, deg; bound: its upper bound with "
-        f"{100 * standard.confidence:g} % confidence; margin: limit less bound (less found, without bound)"
+        f"found: {100 * standard.quantile:g} % quantile over {sheet.runs} flights, deg (turn rate: deg/s); bound: its "
+        f"upper bound with {100 * standard.confidence:g} % confidence; margin: limit less bound (without: less found)"
     )
     sources = dict.fromkeys((f.requirement.own, f.requirement.source) for f in sheet.findings)
     yield from (f"{'limit*, of the project alone' if own else 'limit'}: {source}" for own, source in sources)
@@ -98,8 +98,8 @@ def _worst(findings: Sequence[Finding]) -> str:
     result = min((f.result for f in findings), key=order.index)
     least = min(findings, key=lambda f: f.margin / f.requirement.limit)
     mark = f"**{result}**" if result == NOT_MET else result
-    name, shown = least.requirement.figure.partition("_")[0], _cells(least)[3]
-    return f"{mark}: {name} {shown} of {least.requirement.limit:g}"
+    shown = _cells(least)[3]
+    return f"{mark}: {measure_of(least.requirement.figure).replace('_', ' ')} {shown} of {least.requirement.limit:g}"
 
 
 def as_json(standard: Standard, sheets: Sequence[Sheet]) -> dict[str, Any]:

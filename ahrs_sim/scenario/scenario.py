@@ -191,7 +191,7 @@ def parse(
         data["pilot"] = {"attitude": pilot}
     data.setdefault("suite", copy.deepcopy(DEFAULT_SUITES))
     notes = _add_catalogue(data, where)
-    data.setdefault("estimator", copy.deepcopy(DEFAULT_ESTIMATORS))
+    data.setdefault("estimator", _line_up(data["suite"]))
     data = _chosen(data, where)
     if estimators and isinstance(data["estimator"], dict):
         data["estimator"] = _selected(data["estimator"], estimators, f"{where}: --estimator")
@@ -232,6 +232,15 @@ def parse(
     if scenario.duration is not None and (late := scenario.unreached(scenario.duration)):
         return replace(scenario, notes=(*scenario.notes, *late))
     return scenario
+
+
+def _line_up(suites: Any) -> dict[str, Any]:
+    """Make the estimators of a scenario that names none: the default ones, or the same on the suites that it has."""
+    if not isinstance(suites, dict) or not suites or suites.keys() >= DEFAULT_SUITES.keys():
+        return copy.deepcopy(DEFAULT_ESTIMATORS)
+    first, *others = suites
+    made = {f"{name}-{first}": {"method": f"marg-{name}", "suite": first} for name in ("ekf", "ckf", "cdkf")}
+    return made | {f"ekf-{suite}": {"method": "marg-ekf", "suite": suite} for suite in others}
 
 
 def _add_catalogue(data: dict[str, Any], where: str) -> tuple[str, ...]:
@@ -287,7 +296,7 @@ def _chosen(data: dict[str, Any], where: str) -> dict[str, Any]:
     if "estimators" not in data:
         return data
     names = Table(data, where).texts("estimators")
-    tables = data.get("estimator", copy.deepcopy(DEFAULT_ESTIMATORS))
+    tables = data.get("estimator", _line_up(data.get("suite", DEFAULT_SUITES)))
     rest = {k: v for k, v in data.items() if k != "estimators"}
     return {**rest, "estimator": _selected(tables, names, f"{where}: estimators")} if isinstance(tables, dict) else rest
 

@@ -99,7 +99,7 @@ def test_phases_are_not_known_without_the_truth() -> None:
     assert phases.at(np.empty(0), np.empty(0, int), np.array([1.0, 2.0])).tolist() == [-1, -1]
 
 
-def test_a_part_of_a_flight_has_its_figures_worst_moment_and_turn_rate() -> None:
+def test_a_part_of_a_flight_has_its_figures_and_worst_moment() -> None:
     """The heading runs away by 0.02 rad/s from 4 s on; what lies outside of the part does not count."""
     t = np.arange(0.0, 12.0, 0.01)
     wrong = estimates(t, 0.0)
@@ -116,19 +116,7 @@ def test_a_part_of_a_flight_has_its_figures_worst_moment_and_turn_rate() -> None
     part = accuracy.part(5.0, 10.0)["a"]
     assert part["heading_worst_s"] == pytest.approx(10.0)
     assert part["heading_max_deg"] == pytest.approx(np.degrees(0.12), abs=1e-3)
-    assert part["turn_rate_p95_dps"] == pytest.approx(np.degrees(0.02), abs=1e-3)
     assert part["availability"] == 1.0
-    assert accuracy.part(0.0, 4.0)["a"]["turn_rate_max_dps"] == pytest.approx(0.0, abs=1e-3)
     nothing = accuracy.part(np.inf, np.inf)["a"]
     assert nothing["availability"] == 0.0
-    assert nothing["turn_rate_p95_dps"] is None
     assert "heading_worst_s" not in nothing
-
-
-def test_no_turn_rate_across_a_gap() -> None:
-    t = np.concatenate([np.arange(0.0, 3.0, 0.1), np.arange(10.0, 13.0, 0.1)])
-    rate = metrics.rate_errors(t, np.radians(170.0 + 20.0 * t) % (2 * np.pi))
-    assert np.isnan(rate[t < 0.9]).all()
-    assert np.isnan(rate[(t > 9.0) & (t < 10.9)]).all()
-    assert np.degrees(rate[np.isfinite(rate)]) == pytest.approx(20.0)
-    assert np.isfinite(rate).sum() == 40

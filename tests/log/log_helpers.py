@@ -10,6 +10,7 @@ from ahrs_sim.flight.truth import Event, Setpoints, Truth
 from ahrs_sim.log.flight_log import FlightLog
 from ahrs_sim.log.topics import INSTRUMENTS
 from ahrs_sim.sensors.records import Record
+from ahrs_sim.turning import Turning
 from estimators.types import Columns, Estimates, blank
 
 EPOCH = 1_780_308_000_000_000_000  # 2026-06-01
@@ -57,6 +58,10 @@ class MadeUpFlight:
             e: Estimates = random_block(Estimates, n, seed, t=np.arange(n) / 100)
             e.q_nb[:50] = np.nan
             self.estimates[name] = e
+        self.turns: dict[str | None, Turning] = {
+            name: random_block(Turning, n // 10, seed, t=np.arange(n // 10) / 10)
+            for seed, name in enumerate([None, *ESTIMATORS])
+        }
         self.setpoints: Setpoints = random_block(Setpoints, n // 2, 9, t=np.arange(n // 2) / 50)
         self.events = [Event(k * 7 / 10, "info", "pilot", "x" * k) for k in range(int(duration / 0.7))]
 
@@ -84,6 +89,8 @@ class MadeUpFlight:
                 log.record(*key, _between(record, record.arrival_ns / 1e9, at, at + block))
             for name, estimates in self.estimates.items():
                 log.estimates(name, _between(estimates, estimates.t, at, at + block))
+            for who, turning in self.turns.items():
+                log.turning(who, _between(turning, turning.t, at, at + block))
             log.setpoints(_between(self.setpoints, self.setpoints.t, at, at + block))
             log.events([e for e in self.events if at <= e.t < at + block])
             at += block

@@ -206,6 +206,17 @@ def test_wrong_names_are_reported_before_anything_flies(
     assert not out.exists()
 
 
+def test_a_campaign_whose_first_run_has_bad_input_leaves_nothing(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """That there is no such grade is known when the suite is made."""
+    out = tmp_path / "out"
+    short.write_text(SHORT.replace("chr_6dm", "chr_7dm"))
+    assert main(["campaign", str(short), "--runs", "2", "--workers", "1", "-o", str(out)]) == 2
+    assert "'chr_7dm' is unknown" in capsys.readouterr().err
+    assert not (out / "manifest.json").exists()
+
+
 def test_figures_by_phase_rank_runs() -> None:
     campaign_report.check_metric("turning.heading_p95_deg")
     campaign_report.check_metric("nees")

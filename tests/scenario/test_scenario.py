@@ -34,6 +34,24 @@ def test_defaults_are_the_line_up_of_the_paper(tmp_path: Path) -> None:
     assert scenario.seed == 0
 
 
+@pytest.mark.parametrize(
+    ("suites", "expected"),
+    [
+        (["chr"], ["ekf-chr", "ckf-chr", "cdkf-chr"]),
+        (["mine"], ["ekf-mine", "ckf-mine", "cdkf-mine"]),
+        (["mine", "sbg", "other"], ["ekf-mine", "ckf-mine", "cdkf-mine", "ekf-sbg", "ekf-other"]),
+        (["sbg", "mine", "chr"], ["ekf-chr", "ckf-chr", "cdkf-chr", "ekf-sbg"]),
+    ],
+)
+def test_the_line_up_flies_on_the_suites_that_there_are(tmp_path: Path, suites: list[str], expected: list[str]) -> None:
+    text = MINIMAL + "".join(f'[suite.{name}]\ngrade = "chr_6dm"\n' for name in suites)
+    scenario = scenarios.load(write(tmp_path, text))
+    assert [e.name for e in scenario.estimators] == expected
+    assert all(e.settings["suite"] in suites for e in scenario.estimators)
+    one = scenarios.load(write(tmp_path, f'estimators = ["{expected[0]}"]\n{text}'))
+    assert [e.name for e in one.estimators] == expected[:1]
+
+
 def test_degrees_become_radians(tmp_path: Path) -> None:
     text = MINIMAL + "[start]\nlatitude_deg = 45.0\nheading_deg = 90.0\n[wind]\nspeed_mps = 4.0\nfrom_deg = 180.0\n"
     scenario = scenarios.load(write(tmp_path, text))
