@@ -33,7 +33,9 @@ from ahrs_sim.scenario.table import named_file, read_toml
 from ahrs_sim.world import gravity
 
 _LARGEST = 1e9  # that a figure may be
-MARKS = ("quoted", "firmware", "computed", "inferred", "chosen")
+MARKS = ("quoted", "firmware", "computed", "remembered", "inferred", "chosen")
+"""How far a figure can be trusted: read in a document, or in code that runs on the instrument; computed from such; the
+maker's, but from memory and not checked; of the class, by judgement; the user's choice."""
 """From the maker's paper, from its code, by calculation, by reasoning; `chosen`: how it is set up or installed here."""
 
 _DEG = math.pi / 180.0

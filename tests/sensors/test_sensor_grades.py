@@ -1,5 +1,7 @@
 """Grade files and overrides: what they must say, and one clear line when they do not."""
 
+from importlib import resources
+
 import numpy as np
 import pytest
 from sensor_helpers import suite
@@ -18,6 +20,16 @@ def test_shipped_grades_are_whole() -> None:
         assert rows
         assert all(entry.source and entry.mark in MARKS for _, entry in rows)
     assert {row["grade"] for row in grades()} == set(names())
+
+
+def test_what_was_not_read_is_not_quoted() -> None:
+    """A part whose figures come from memory says so at its head, and marks them; the others have none."""
+    folder = resources.files("ahrs_sim.sensors") / "grades"
+    for name in names():
+        text = (folder / f"{name}.toml").read_text(encoding="utf-8")
+        remembered = text.count('mark = "remembered"')
+        assert ("# Marked `remembered`:" in text) == (remembered > 0), name
+        assert "as remembered" not in text, name
 
 
 def test_a_dozen_units_from_the_shop_state_what_matters() -> None:
