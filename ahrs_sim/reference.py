@@ -12,7 +12,7 @@ import math
 import re
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -150,16 +150,21 @@ def suite_tables() -> dict[str, Keys]:
     from ahrs_sim.runs import check_suite
 
     text = 'baseline = "x.json"\n[[flight]]\nscenario = "standing"\n'
+    text += '[[flight]]\ncertification = "restart"\nestimators = ["ins15@chr"]\n'
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "suite.toml"
         file.write_text(text)
         found = collected(lambda: check_suite.load(str(file)))
         prefix = str(file)
-    return {
-        re.sub(r" \d+$", "", where.removeprefix(prefix).removeprefix(": ")).strip("[]"): keys
-        for where, keys in found.items()
-        if where.startswith(prefix)
-    }
+    tables: dict[str, Keys] = {}
+    for where, keys in found.items():
+        if where.startswith(prefix):
+            name = re.sub(r" \d+$", "", where.removeprefix(prefix).removeprefix(": ")).strip("[]")
+            known = tables.setdefault(name, dict(keys))
+            for key in {*known, *keys}:  # what only one of two flights needs is not needed
+                if not (key in known and key in keys):
+                    known[key] = replace((known if key in known else keys)[key], required=False)
+    return tables
 
 
 def unit(key: str) -> str:

@@ -10,7 +10,7 @@ its bootstrap interval lies above zero.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -102,16 +102,16 @@ def fly(
             column = place[name].seeds.index(seed)
             for estimator, values in outcome.figures.items():
                 mine = figures[name].setdefault(estimator, {})
-                for figure, value in _kept(values):
+                for figure, value in _kept(values, [span.name for span in place[name].run.spans]):
                     mine.setdefault(figure, [math.nan] * len(place[name].seeds))[column] = value
             progress(count, total)
     return Found(figures, errors)
 
 
-def _kept(values: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
-    """Select the figures that a baseline holds from a flat row."""
+def _kept(values: Mapping[str, Any], parts: Sequence[str]) -> Iterator[tuple[str, float]]:
+    """Select the figures that a baseline holds from a flat row: by phase, and by part of the flight."""
     yield "all.availability", float(values["availability"])
-    for phase in (ALL, *PHASES):
+    for phase in (ALL, *PHASES, *parts):
         for axis in MEASURES:
             value = values.get(f"{axis}_rmse_deg" if phase == ALL else f"{phase}.{axis}_rmse_deg", math.nan)
             if math.isfinite(value):

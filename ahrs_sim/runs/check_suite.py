@@ -24,17 +24,23 @@ A suite is a TOML file:
     seeds = [1, 2, 3]
     duration_s = 120.0                 # default: the scenario's
     estimators = ["mine"]              # only these
+
+    [[flight]]
+    certification = "restart"          # a flight of the shipped certification standard, its rows as further figures
+    seeds = [1]
+    estimators = ["ins21@sbg"]         # as `ahrs-sim certify` names them
 """
 
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ahrs_sim import scenario as scenarios
 from ahrs_sim.errors import InputError
+from ahrs_sim.runs import certify
 from ahrs_sim.runs.pool import Run
 from ahrs_sim.scenario.shipped import scenario_dir
 from ahrs_sim.scenario.table import Table, is_file, read_toml
@@ -160,14 +166,31 @@ def _every(
     return made
 
 
-def _flight(table: Table, file: Path, estimators: Mapping[str, Any], gate: scenarios.Gate) -> Flight:
-    name = table.text("scenario")
-    beside = file.parent / name
+def _seeds(table: Table) -> list[int]:
     seeds = table.value("seeds", [1, 2, 3])
     if not (isinstance(seeds, list) and seeds and all(isinstance(s, int) and s >= 0 for s in seeds)):
         raise table.error("seeds", f"{seeds!r} is not a list of whole numbers")
     if len(set(seeds)) < len(seeds):
         raise table.error("seeds", "one is there twice; each flight counts once")
+    return list(seeds)
+
+
+def _certification(table: Table, gate: scenarios.Gate) -> Flight:
+    """Make one flight of the shipped certification standard, with the parts that its rows are of."""
+    standard = certify.load()
+    name, seeds = table.choice("certification", list(standard.flights)), _seeds(table)
+    chosen = certify.candidates(standard, table.texts("estimators"))
+    title = table.text("name", f"certify-{name}")
+    table.close()
+    run = certify.plans(standard, chosen, 1, gate)[name].run(0)
+    return Flight(title, tuple(seeds), replace(run, key=None, band_s=None))
+
+
+def _flight(table: Table, file: Path, estimators: Mapping[str, Any], gate: scenarios.Gate) -> Flight:
+    if table.has("certification"):
+        return _certification(table, gate)
+    name, seeds = table.text("scenario"), _seeds(table)
+    beside = file.parent / name
     chosen = table.value("estimators", [])
     if not (isinstance(chosen, list) and all(isinstance(e, str) for e in chosen)):
         raise table.error("estimators", f"{chosen!r} is not a list of names")

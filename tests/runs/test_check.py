@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
@@ -34,6 +35,7 @@ duration_s = 24.0
 seeds = [1, 2, 3]
 """
 
+SAMPLES = "certify-", "airliner"  # of the standard suite: two estimators, one seed
 Values = dict[str, list[float]]
 
 
@@ -62,6 +64,38 @@ def found(change: Callable[[Values], object] = lambda values: None) -> Found:
 def results(suite: check_suite.Suite, change: Callable[[Values], object]) -> dict[str, str]:
     result = check.compare(suite, found(change))
     return {row.figure: row.result for row in result.rows if row.estimator == "ekf"} | {"passed": str(result.passed)}
+
+
+def test_the_standard_suite_samples_certification_and_aircraft() -> None:
+    """Flights of the certification standard keep figures of its rows; an airliner turns on the derived autopilot."""
+    flights = {f.name: f for f in check_suite.load().flights}
+    assert [s.name for s in flights["certify-outages"].run.spans] == [
+        "no_air_data", "gnss_loss", "interruption", "spoofing",
+    ]  # fmt: skip
+    assert list(flights["certify-restart"].run.data["estimator"]) == ["marg-ckf-chr", "ins21-sbg"]
+    assert flights["airliner"].run.data["aircraft"] == "737"
+    assert sum(len(f.seeds) for name, f in flights.items() if name.startswith(SAMPLES)) == 3
+
+
+def test_a_flight_of_the_certification_standard_keeps_its_rows() -> None:
+    values = {"availability": 1.0, "tilt_rmse_deg": 0.5, "restart.roll_rmse_deg": 0.2, "restart.tilt_p95_deg": 1.0}
+    kept = dict(check._kept(values, ["restart"]))
+    assert kept == {"all.availability": 1.0, "all.tilt": 0.5, "restart.roll": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("flight", "message"),
+    [
+        ('certification = "restrat"\nestimators = ["ins21@sbg"]', r"certification: .*restrat.*did you mean 'restart'"),
+        ('certification = "restart"\nestimators = ["ins21@sbg"]\nduration_s = 5.0', r"duration_s: unknown key"),
+        ('certification = "restart"', r"estimators: missing"),
+    ],
+)
+def test_a_wrong_flight_of_the_standard_gets_one_line(tmp_path: Path, flight: str, message: str) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(f"[[flight]]\n{flight}\n")
+    with pytest.raises(InputError, match=message):
+        check_suite.load(str(path))
 
 
 def test_nothing_has_changed(suite: check_suite.Suite) -> None:
@@ -181,8 +215,10 @@ def test_the_standard_suite_has_every_scenario_and_method() -> None:
     shipped = [load(str(p)) for p in scenario_dir().glob("*.toml")]
     fed = {s.name for s in shipped if s.estimators and "chr" in s.data["suite"] and s.pilot_attitude == "truth"}
     assert {f.run.name for f in suite.flights} >= fed
+    listed = tomllib.loads(check_suite.STANDARD.read_text(encoding="utf-8"))["flight"]
+    some = {str(f.get("scenario")) for f in listed if "estimators" in f}  # flights that are meant for a few of them
     for flight in suite.flights:
-        if "chr" not in flight.run.data["suite"]:
+        if "chr" not in flight.run.data["suite"] or flight.name in some or flight.name.startswith(SAMPLES):
             continue
         flown = {e["method"] for e in flight.run.data["estimator"].values()}
         assert flown >= {m.name for m in estimators.describe() if m.own}
