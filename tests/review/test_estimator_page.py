@@ -156,6 +156,7 @@ ROWS = "".join(f"\n{0.01 * i:.2f},0,0,0.{i % 2},0,0,-9.81" for i in range(300))
     ("name", "content", "words"),
     [
         ("a.mcap", b"\x89MCAP0\r\n" + bytes(100), "a.mcap: not finished or cut off: mend it with 'ahrs-sim recover'"),
+        ("a.mcap", b"\x89MCAP0\r\n", "a.mcap: not finished or cut off"),
         ("a.bin", bytes(range(200)), "a.bin: not a log of ahrs_sim (.mcap), a ULog (.ulg) or a table of text (.csv)"),
         (
             "a.ulg",

@@ -138,8 +138,8 @@ function routeOf(topic) {
 
 async function readMcap(file, say) {
   const part = async (from, size) => new DataView(await file.slice(from, from + size).arrayBuffer());
-  const end = new Bytes(await part(file.size - 37, 29));
-  if (file.size < 45 || end.raw(1)[0] !== 2) refuse(`${file.name}: not finished or cut off: mend it with 'ahrs-sim recover'`);
+  const end = file.size > 45 && new Bytes(await part(file.size - 37, 29));
+  if (!end || end.raw(1)[0] !== 2) refuse(`${file.name}: not finished or cut off: mend it with 'ahrs-sim recover'`);
   end.u64();
   const start = end.u64(), summary = await part(start, file.size - 37 - start);
   const schemas = {}, channels = {}, chunks = [], metadata = {};
@@ -187,7 +187,7 @@ async function readMcap(file, say) {
     if (i % 20 === 19) await say(`reading ${file.name}`, i / chunks.length);
   }
   const numbers = (text) => { const all = text.split(" ").map(Number); return all.length > 1 ? all : all[0]; };
-  const known = (name) => Object.fromEntries(Object.entries(metadata[name]).map(([k, v]) => [k, numbers(v)]));
+  const known = (name) => Object.fromEntries(Object.entries(metadata[name] ?? refuse(`${file.name}: its metadata say nothing of '${name}'; fly the scenario again with this version`)).map(([k, v]) => [k, numbers(v)]));
   const truth = tables.truth?.attitude;
   delete tables.truth;
   const suites = {}, sensors = {};
