@@ -30,9 +30,9 @@ def method(name: str) -> Any:
     """
     known = {m.name: m for m in estimators.describe()}
     if name not in known:
-        raise InputError(f"export-code: no estimator '{name}'{nearest(name, known)}")
+        raise InputError(f"export: no estimator '{name}'{nearest(name, known)}")
     if not known[name].own:
-        raise InputError(f"export-code: {name} comes from another package: it has no kernels to export")
+        raise InputError(f"export: {name} comes from another package: it has no kernels to export")
     return known[name]
 
 
