@@ -1,4 +1,4 @@
-"""Code, memory and instructions of exported estimators by target: `python benchmarks/export_size.py [METHOD ...]`.
+"""Cost of exported estimators by target: `python benchmarks/export_size.py [--float32] [METHOD ...]`.
 
 Needs `ziglang` to link for other machines, and `unicorn`, whose Cortex-M counts instructions and shows the stack that
 is used, which is within the bound. The rows are those of a swinging flight. The table is that of docs/doors.md.
@@ -153,17 +153,19 @@ def measured(method: str, target: str, made: Emitted, sensors: SensorInfo) -> st
     assert deepest <= made.stack + WRAPPER, (method, target, deepest, made.stack)
     assert made.operations is not None
     sizes = f"{made.text / 1000:.0f} | {made.memory / 1000:.1f} | {made.stack / 1000:.1f}"
-    return f"| `{method}` | {target} | {sizes} | {work} | {made.operations[0] / 1000:.1f} |"
+    precision = " float32" if made.single else ""
+    return f"| `{method}`{precision} | {target} | {sizes} | {work} | {made.operations[0] / 1000:.1f} |"
 
 
 def main() -> None:
     """Print the table."""
-    methods = sys.argv[1:] or ["marg-ekf", "marg-ckf", "sekf", "ins21"]
+    single = "--float32" in sys.argv
+    methods = [a for a in sys.argv[1:] if a != "--float32"] or ["marg-ekf", "marg-ckf", "sekf", "ins21"]
     sensors, (exercise, place) = export.suite_info("chr", "circuit"), swinging()
     columns = "method | target | code, kB | memory, kB | stack, kB | 1000 instructions a row | 1000 operations a row"
     print(f"| {columns} |\n|{'---|' * 7}")
     for method in methods:
-        for target, made in emit(method, {}, place, sensors, export.TARGETS, exercise).items():
+        for target, made in emit(method, {}, place, sensors, export.TARGETS, exercise, single).items():
             print(measured(method, target, made, sensors), flush=True)
 
 

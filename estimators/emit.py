@@ -16,7 +16,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,6 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimators import emit_costs as costs
+from estimators.emit_single import image
+from estimators.emit_single import single as as_single
 from estimators.errors import SettingError
 from estimators.records import pack
 from estimators.types import Samples, SensorInfo, Site
@@ -74,7 +76,8 @@ class Emitted:
     blocks: Mapping[str, Block]
     text: int  # bytes of instructions and constants
     stack: int  # bytes at most
-    operations: tuple[float, int] | None  # of doubles in a row of samples, mean and most; None: not counted
+    operations: tuple[float, int] | None  # of numbers in a row of samples, mean and most; None: not counted
+    single: bool = False  # floats in the places of doubles, see `emit_single`
 
     @property
     def memory(self) -> int:
@@ -89,7 +92,7 @@ class Emitted:
 
 def emit(
     name: str, settings: Mapping[str, Any], site: Site, sensors: SensorInfo, targets: Iterable[str],
-    exercise: Samples | None = None,
+    exercise: Samples | None = None, single: bool = False,
 ) -> dict[str, Emitted]:  # fmt: skip
     """Compile a method with these settings for some of `TARGETS`; what there is by target.
 
@@ -100,6 +103,7 @@ def emit(
         sensors: data sheet figures.
         targets: names of `TARGETS`.
         exercise: samples that the code is run on here, to count operations from its alignment on.
+        single: numbers are floats instead of doubles.
 
     Raises:
         SettingError: a method that is no filter on a model of the catalogue.
@@ -124,7 +128,7 @@ def emit(
             "site": asdict(site),
             "sensors": asdict(sensors),
         }
-        task |= {"targets": list(targets), "folder": folder, "exercised": exercise is not None}
+        task |= {"targets": list(targets), "folder": folder, "exercised": exercise is not None, "single": single}
         if exercise is not None:
             pack(exercise).tofile(Path(folder) / "exercise")
         command = [sys.executable, "-W", "ignore", "-c", "from estimators.emit import _main; _main()"]
@@ -138,7 +142,7 @@ def emit(
         for key, b in found["blocks"].items()
     }
     operations = found["operations"] and tuple(found["operations"])
-    return {t: Emitted(code, blocks, _size(code), found["stack"][t], operations) for t, code in codes.items()}
+    return {t: Emitted(code, blocks, _size(code), found["stack"][t], operations, single) for t, code in codes.items()}
 
 
 # In the process of its own
@@ -160,11 +164,15 @@ def _main() -> None:
     estimator = _estimator(task)
     model, parts, instance = estimator.assemble()
     records = {**parts, **estimator.inner_parts(model), "instance": instance}
-    blocks = _blocks(records, list(kernels))
+    blocks = _blocks(records, list(kernels), image if task["single"] else np.ndarray.tobytes)
     blocks["work"] = Block(estimator.work_size(), b"", {})
     folder, stack = Path(task["folder"]), {}
+    written = (
+        {entry: (symbol, as_single(code)) for entry, (symbol, code) in kernels.items()} if task["single"] else kernels
+    )
     for target in task["targets"]:
-        code, stack[target] = _object(kernels, TARGETS[target], blocks)
+        machine = TARGETS[target]._replace(has_sqrt=True) if task["single"] else TARGETS[target]
+        code, stack[target] = _object(written, machine, blocks)
         (folder / f"{target}.o").write_bytes(code)
     described = {
         name: {"size": b.size, "image": b.image.hex(), "addresses": dict(b.addresses), "constant": b.constant}
@@ -204,14 +212,14 @@ def _fake(number: int) -> int:
     return -1 - number
 
 
-def _blocks(records: Mapping[str, Any], kernels: list[str]) -> dict[str, Block]:
+def _blocks(records: Mapping[str, Any], kernels: list[str], image: Callable[[np.ndarray], bytes]) -> dict[str, Block]:
     """The records' memory, with names in the place of addresses."""
     known = {record.data.ctypes.data: name for name, record in records.items()}
-    return {name: _block(name, record.data, known, kernels) for name, record in records.items()}
+    return {name: _block(name, image(record.data), known, kernels) for name, record in records.items()}
 
 
-def _block(name: str, data: Any, known: Mapping[int, str], kernels: list[str]) -> Block:
-    image, addresses = bytearray(data.tobytes()), {}
+def _block(name: str, contents: bytes, known: Mapping[int, str], kernels: list[str]) -> Block:
+    image, addresses = bytearray(contents), {}
     for offset in range(0, len(image) - len(image) % 8, 8) if name in _POINTING else ():
         value = int(np.frombuffer(image, np.int64, 1, offset)[0])
         if value in known:
@@ -270,7 +278,7 @@ def _optimised(kernels: Mapping[str, tuple[str, str]], target: Target) -> tuple[
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(whole, builder)
     foreign = {f.name for f in whole.functions if f.is_declaration and _FOREIGN.match(f.name)}
-    foreign -= {"llvm.sqrt.f64"} if target.has_sqrt else set()
+    foreign -= {"llvm.sqrt.f64", "llvm.sqrt.f32"} if target.has_sqrt else set()
     if foreign:
         raise RuntimeError(f"kernels call {', '.join(foreign)}, which differ between C libraries")
     return whole, machine

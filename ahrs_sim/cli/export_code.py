@@ -17,6 +17,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command = commands.add_parser("export-code", help="write an estimator as native code behind a C header")
     add_choice(command)
     command.add_argument("--target", choices=_TARGETS, default="x86_64-linux", help="default: x86_64-linux")
+    command.add_argument("--float32", action="store_true", help="compute in single precision")
     command.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="a new folder")
     return command
 
@@ -53,7 +54,9 @@ def run(arguments: argparse.Namespace) -> None:
     from ahrs_sim.plugins import export
 
     settings, sensors = chosen(arguments)
-    made = export.export(arguments.method, settings, arguments.suite, sensors, arguments.target, arguments.output)
+    made = export.export(
+        arguments.method, settings, arguments.suite, sensors, arguments.target, arguments.output, arguments.float32
+    )
     for path in sorted(arguments.output.iterdir()):
         print(path)
     print(

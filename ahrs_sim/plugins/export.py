@@ -19,7 +19,7 @@ from estimators.settings import Setting
 from estimators.types import SensorInfo
 
 _TEMPLATES = Path(__file__).parent / "templates" / "export"
-_SQRT = "sqrt.c"
+_PIECES = ("sqrt.c", "double.c", "single.c")  # of NAME.c
 
 
 def method(name: str) -> Any:
@@ -90,7 +90,13 @@ def suite_info(suite: str, scenario: str) -> SensorInfo:
 
 
 def export(
-    name: str, settings: Mapping[str, Any], suite: str, sensors: SensorInfo, target: str, folder: Path
+    name: str,
+    settings: Mapping[str, Any],
+    suite: str,
+    sensors: SensorInfo,
+    target: str,
+    folder: Path,
+    single: bool = False,
 ) -> Emitted:
     """Write the folder.
 
@@ -101,6 +107,7 @@ def export(
         sensors: its data sheet.
         target: one of `TARGETS`.
         folder: made new.
+        single: numbers are floats.
 
     Raises:
         InputError: the folder exists.
@@ -109,7 +116,7 @@ def export(
     if folder.exists():
         raise InputError(f"{folder}: exists; choose another -o")
     exercise, place = swinging()
-    emitted = emit(name, settings, place, sensors, [target], exercise)[target]
+    emitted = emit(name, settings, place, sensors, [target], exercise, single)[target]
     write(name, settings, suite, sensors, target, emitted, folder)
     return emitted
 
@@ -120,7 +127,7 @@ def write(
     """Write the folder of what was emitted; for the rest see `export`."""
     texts = _texts(name, settings, suite, sensors, target, emitted)
     folder.mkdir(parents=True)
-    for path in sorted(p for p in _TEMPLATES.iterdir() if p.name != _SQRT):
+    for path in sorted(p for p in _TEMPLATES.iterdir() if p.name not in _PIECES):
         text = path.read_text(encoding="utf-8")
         for key, value in texts.items():
             text = text.replace(f"@{key}@", value)
@@ -152,17 +159,32 @@ def _texts(
     lines = [f"{key} = {str(value).lower() if isinstance(value, bool) else value}" for key, value in values.items()]
     return {
         **_memory(emitted), **_sensors(sensors),
-        "SQRT": "" if machine.has_sqrt else (_TEMPLATES / _SQRT).read_text(encoding="utf-8"),
+        "SQRT": "" if machine.has_sqrt or emitted.single else _piece("sqrt.c"),
+        "NUMBERS": _piece("single.c" if emitted.single else "double.c"),
+        "PRECISION": _SINGLE if emitted.single else _DOUBLE,
         "METHOD": name, "NAME": as_name, "TARGET": target, "SUITE": suite, "TEXT": method(name).text,
         "VERSION": version("ahrs-sim"), "NUMBA": numba.__version__, "LLVMLITE": llvmlite.__version__,
         "LLVM": ".".join(map(str, binding.llvm_version_info)), "TRIPLE": machine.triple,
         "CPU": f", {machine.cpu}" if machine.cpu else "", "CODE": str(emitted.text),
         "CONSTANT": str(emitted.constant), "MEMORY": str(emitted.memory), "STACK": str(emitted.stack),
         "WORK": "not counted" if emitted.operations is None else "{:.0f}, at most {}".format(*emitted.operations),
-        "NEEDS": "`memset`", "NUMPY": np.__version__, "PYTHON": platform.python_version(),
+        "NUMPY": np.__version__, "PYTHON": platform.python_version(),
         "GOAL": _GOALS.get(target, "lib{}.a").format(as_name), "CFLAGS": _FLAGS[target],
         "SETTINGS": "\n".join(f"    {line}" for line in lines),
     }  # fmt: skip
+
+
+def _piece(name: str) -> str:
+    return (_TEMPLATES / name).read_text(encoding="utf-8")
+
+
+_DOUBLE = """Double precision. The kernels need `memset` and, where the processor has no instruction for it, `sqrt` and
+  arithmetic of doubles from the compiler's run time. Sines, arc tangents and exponentials are their own, the same that
+  ahrs_sim uses in Python: with IEEE 754 doubles, not contracted, estimates are equal to the last bit."""
+_SINGLE = """Single precision: every number of the kernels is a float, in memory laid out for doubles. Samples and
+  estimates are converted, and times count from the first sample (a float's step is 0.06 ms after ten minutes, 0.24 ms
+  after an hour). Estimates differ from those of ahrs_sim in Python: fly this library beside the method
+  (`--estimator lib:...`) to see by how much."""
 
 
 def _memory(emitted: Emitted) -> dict[str, str]:
@@ -173,17 +195,17 @@ def _memory(emitted: Emitted) -> dict[str, str]:
         if block.constant:
             blocks.append(f"static const uint64_t constant_{name}[{words}] = {_words(block.image)};")
             continue
-        blocks.append(f"static union {{ double numbers[{words}]; uint64_t words[{words}]; }} memory_{name};")
+        blocks.append(f"static uint64_t memory_{name}[{words}];")
         if block.image:
             images.append(f"static const uint64_t image_{name}[{words}] = {_words(block.image)};")
-        contents.append(f"    {{memory_{name}.words, {f'image_{name}' if block.image else 'NULL'}, {words}}},")
+        contents.append(f"    {{memory_{name}, {f'image_{name}' if block.image else 'NULL'}, {words}}},")
         for offset, what in block.addresses.items():
-            at = f"&memory_{name}.words[{offset // 8}]"
+            at = f"&memory_{name}[{offset // 8}]"
             if what.startswith(PREFIX):
                 calls.append(f"    {{{at}, {what}}},")
             else:
                 constant = emitted.blocks[what].constant
-                references.append(f"    {{{at}, {f'constant_{what}' if constant else f'memory_{what}.words'}}},")
+                references.append(f"    {{{at}, {f'constant_{what}' if constant else f'memory_{what}'}}},")
     kernels = sorted(
         {what for b in emitted.blocks.values() for what in b.addresses.values() if what.startswith(PREFIX)}
     )
@@ -208,7 +230,7 @@ def _sensors(sensors: SensorInfo) -> dict[str, str]:
         for i, value in enumerate(values):
             part = f"[{i}]" if len(values) > 1 else ""
             number = float(value).hex()
-            fit.append(f"    to[{at}] = {f'sensors->{f.name}{part}' if f.name in layout.SENSORS else number};")
+            fit.append(f"    put(&to[{at}], {f'sensors->{f.name}{part}' if f.name in layout.SENSORS else number});")
             at += 1
     for name in layout.SENSORS:
         numbers = ", ".join(float(v).hex() for v in np.atleast_1d(np.asarray(getattr(sensors, name), float)))

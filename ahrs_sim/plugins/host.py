@@ -22,6 +22,20 @@ class Refused(Exception):
     """A library that cannot be used, with the reason."""
 
 
+_MACHINES = {3: "x86", 40: "ARM", 62: "x86-64", 183: "AArch64", 243: "RISC-V"}  # e_machine
+
+
+def machine(path: str) -> str:
+    """Name the machine that an ELF file is for; empty for any other file."""
+    fd = os.open(path, os.O_RDONLY)  # an import of pathlib would cost more time than all else here
+    head = os.read(fd, 20)
+    os.close(fd)
+    if len(head) < 20 or not head.startswith(b"\x7fELF"):
+        return ""
+    number = int.from_bytes(head[18:20], "little" if head[5] == 1 else "big")
+    return f"{_MACHINES.get(number, f'machine {number} of ELF')}, {32 * head[4]} bits"
+
+
 def load(path: str, version: int) -> ctypes.CDLL:
     """Load a library and declare its functions.
 
@@ -31,6 +45,9 @@ def load(path: str, version: int) -> ctypes.CDLL:
     try:
         library = ctypes.CDLL(path)
     except OSError as error:
+        theirs, ours = machine(path), machine(sys.executable)
+        if theirs and ours and theirs != ours:
+            raise Refused(f"was compiled for {theirs}, this machine is {ours}; compile it for this one") from None
         raise Refused(f"cannot be loaded: {error}") from None
     for name in _SYMBOLS:
         if not hasattr(library, f"ahrs_{name}"):

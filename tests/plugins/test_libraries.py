@@ -119,6 +119,17 @@ def test_no_library_at_all_is_one_line(tmp_path: Path) -> None:
         LibraryEstimator(library, site=SITE, sensors=SensorInfo())
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="libraries are ELF files on Linux")
+@pytest.mark.parametrize(("number", "name"), [(183, "AArch64, 64 bits"), (258, "machine 258 of ELF, 64 bits")])
+def test_a_library_of_another_machine_is_one_line(tmp_path: Path, number: int, name: str) -> None:
+    library = build(tmp_path)
+    content = bytearray(library.read_bytes())
+    content[18:20] = number.to_bytes(2, "little")  # e_machine
+    library.write_bytes(content)
+    with pytest.raises(InputError, match=f"was compiled for {name}, this machine is .*; compile it for this one"):
+        LibraryEstimator(library, site=SITE, sensors=SensorInfo())
+
+
 @pytest.mark.parametrize(
     ("process", "settings", "reason"),
     [

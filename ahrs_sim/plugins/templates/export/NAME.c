@@ -54,17 +54,17 @@ static int in_use = 0;
 
 int32_t ahrs_version(void) { return AHRS_INTERFACE_VERSION; }
 
-static void place(const ahrs_site *site)
+@NUMBERS@static void place(const ahrs_site *site)
 {
-    double *to = memory_site.numbers;
-    to[0] = site->lla[0], to[1] = site->lla[1], to[2] = site->lla[2];
-    to[3] = site->gravity;
-    to[4] = site->mag_n[0], to[5] = site->mag_n[1], to[6] = site->mag_n[2];
+    uint64_t *to = memory_site;
+    put(&to[0], site->lla[0]), put(&to[1], site->lla[1]), put(&to[2], site->lla[2]);
+    put(&to[3], site->gravity);
+    put(&to[4], site->mag_n[0]), put(&to[5], site->mag_n[1]), put(&to[6], site->mag_n[2]);
 }
 
 static void fit(const ahrs_sensors *sensors)
 {
-    double *to = memory_sensors.numbers;
+    uint64_t *to = memory_sensors;
 @FIT@
 }
 
@@ -94,7 +94,7 @@ ahrs_estimator *ahrs_create(const ahrs_site *site, const ahrs_sensors *sensors, 
         *calls[k].at = (uint64_t)(uintptr_t)calls[k].what;
     place(site);
     fit(sensors ? sensors : &suite);
-    ahrs_kernel_forget(memory_instance.words);
+    forget();
     the_estimator.error = "";
     in_use = 1;
     return &the_estimator;
@@ -102,11 +102,9 @@ ahrs_estimator *ahrs_create(const ahrs_site *site, const ahrs_sensors *sensors, 
 
 int32_t ahrs_process(ahrs_estimator *self, const ahrs_sample *samples, uint32_t n, ahrs_estimate *estimates)
 {
-    static ahrs_sample row; /* kernels write to it */
     uint32_t k;
     for (k = 0; k < n; k++) {
-        row = samples[k];
-        if (ahrs_kernel_process(memory_instance.words, &row, 1, &estimates[k]) >= 0) {
+        if (estimate(&samples[k], &estimates[k]) >= 0) {
             self->error = "a time stamp is not finite or more than a second back";
             return 1;
         }
@@ -117,7 +115,7 @@ int32_t ahrs_process(ahrs_estimator *self, const ahrs_sample *samples, uint32_t 
 void ahrs_reset(ahrs_estimator *self)
 {
     self->error = "";
-    ahrs_kernel_forget(memory_instance.words);
+    forget();
 }
 
 void ahrs_destroy(ahrs_estimator *self)
