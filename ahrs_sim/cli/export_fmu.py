@@ -30,11 +30,9 @@ def run(arguments: argparse.Namespace) -> None:
     if (arguments.method is None) == (arguments.sensors is None):
         raise InputError("export-fmu: give a METHOD, or --sensors SUITE")
     if arguments.sensors is not None:
-        if arguments.fmi != "2.0" or arguments.setting:
-            raise InputError(
-                "export-fmu --sensors: a unit of FMI 2.0 (PythonFMU); --fmi and --setting are for a METHOD"
-            )
-        export_fmu.export_sensors(arguments.scenario, arguments.sensors, output)
+        if arguments.setting:
+            raise InputError("export-fmu: --setting is for a METHOD, not for --sensors")
+        export_fmu.export_sensors(arguments.scenario, arguments.sensors, output, arguments.fmi)
         print(f"{output}: sensors of {arguments.sensors}; truth in, readings out, in steps of the truth")
         return
     settings, sensors = chosen(arguments)

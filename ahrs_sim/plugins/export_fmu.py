@@ -172,46 +172,53 @@ def _archive(path: Path, folder: Path, as_name: str, fmi: str, description: str)
             archive.write(folder / source, f"{sources}/{source}")
 
 
-_SCRIPT = """from ahrs_sim.plugins.sensor_unit import Sensors
+_SCRIPT = """import {library}
+from {library} import {slave}
+
+from ahrs_sim.plugins.sensor_unit import Sensors
 
 
-class {name}(Sensors):
-    known = {known!r}
+class {name}(Sensors, {slave}):
+    library, known = {library}, {known!r}
 """
+_LIBRARIES = {"2.0": ("pythonfmu", "Fmi2Slave"), "3.0": ("pythonfmu3", "Fmi3Slave")}
 
 
-def export_sensors(scenario: str, suite: str, path: Path) -> None:
-    """Write a suite as a unit (FMI 2.0) that PythonFMU runs; see `sensor_unit`.
+def export_sensors(scenario: str, suite: str, path: Path, fmi: str = "2.0") -> None:
+    """Write a suite as a unit that PythonFMU runs; see `sensor_unit`.
 
     Args:
         scenario: that has the suite, its faults, date and seed.
         suite: its name.
         path: of the unit, made new.
+        fmi: version of the standard, one of `VERSIONS`.
 
     Raises:
         InputError: the file exists, no such scenario or suite, no PythonFMU.
     """
     if path.exists():
         raise InputError(f"{path}: exists; choose another -o")
-    if importlib.util.find_spec("pythonfmu") is None:
-        raise InputError("export-fmu --sensors: needs PythonFMU; pip install 'ahrs-sim[fmu]'")
+    library, slave = _LIBRARIES[fmi]
+    if importlib.util.find_spec(library) is None:
+        raise InputError(f"export-fmu --sensors: FMI {fmi} needs {library}; pip install 'ahrs-sim[fmu]'")
     made, component = export.suite_component(suite, scenario)
     known = {
         "suite": _plain(component), "faults": [_plain(f) for f in made.faults], "epoch": made.epoch.isoformat(),
         "seed": made.seed,
     }  # fmt: skip
-    name = re.sub(r"\W", "_", suite)
-    with tempfile.TemporaryDirectory() as folder:
-        script = Path(folder) / f"{name}_sensors.py"
-        script.write_text(_SCRIPT.format(name=f"{name}_sensors", known=known), encoding="utf-8")
-        built = subprocess.run(
-            [sys.executable, "-c", _BUILD, str(script), str(path.resolve())], capture_output=True, text=True
-        )
+    name = re.sub(r"\W", "_", suite) + "_sensors"
+    with tempfile.TemporaryDirectory() as parent:
+        script = Path(parent) / f"{name}.py"
+        script.write_text(_SCRIPT.format(library=library, slave=slave, name=name, known=known), encoding="utf-8")
+        command = [sys.executable, "-c", _BUILD.format(library=library), str(script), parent]
+        built = subprocess.run(command, capture_output=True, text=True)
         if built.returncode != 0:
-            raise InputError(f"export-fmu: PythonFMU fails: {' '.join(built.stderr.split())}")
+            raise InputError(f"export-fmu: {library} fails: {' '.join(built.stderr.split())}")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(script.with_suffix(".fmu"), path)
 
 
-_BUILD = "import sys; from pythonfmu.builder import FmuBuilder; FmuBuilder.build_FMU(sys.argv[1], dest=sys.argv[2])"
+_BUILD = "import sys; from {library}.builder import FmuBuilder; FmuBuilder.build_FMU(sys.argv[1], dest=sys.argv[2])"
 """In a process of its own: it imports the script, and has it written anew the next time."""
 
 

@@ -1,4 +1,4 @@
-"""A sensor suite as a co-simulation unit (FMI 2.0, by PythonFMU): a plant's truth in, readings out.
+"""A sensor suite as a co-simulation unit (FMI 2.0 by PythonFMU, 3.0 by PythonFMU3): a plant's truth in, readings out.
 
 The sensors are those of a flight, in Python: the unit needs an interpreter that has this package. Each step is a row of
 the truth, whose values are those of the step's end; step size is what the suite takes as the time between rows.
@@ -13,11 +13,10 @@ the truth, whose values are those of the step's end; step size is what the suite
 """
 
 import datetime
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from pythonfmu import Boolean, Fmi2Causality, Fmi2Slave, Fmi2Variability, Integer, Real  # type: ignore[import-untyped]
 
 from ahrs_sim.errors import AhrsSimError
 from ahrs_sim.flight.truth import Truth
@@ -44,34 +43,46 @@ _STARTS = {"true_q_w": 1.0, "true_pressure": 101325.0, "true_temperature": 288.1
 _FLAGS = ("mag_new", "gnss_new", "heading_new", "air_new", "sample_new")
 
 
-class Sensors(Fmi2Slave):  # type: ignore[misc]
-    """The unit; a class of the exported script says which suite.
+class Sensors:
+    """What makes a slave of PythonFMU or PythonFMU3 the unit of a suite: the first base of an exported script's class.
 
     Attributes:
+        library: `pythonfmu` or `pythonfmu3`.
         known: name, settings, where of the suite, faults (each likewise), epoch, seed.
     """
 
+    library: Any
     known: Mapping[str, Any]
+    register_variable: Callable[[Any], None]  # of the other base, as the next
+    log: Callable[[str], None]
 
     def __init__(self, **given: Any) -> None:
         super().__init__(**given)
-        self.seed = int(self.known["seed"])
+        self.seed, self.time = int(self.known["seed"]), 0.0
         self._given: dict[str, Any] = {name: _STARTS.get(name, 0.0) for name in TRUTH}
         self._read: dict[str, Any] = dict.fromkeys(READINGS, np.nan) | dict.fromkeys(_FLAGS, False)
         self._suite: Any = None
         self._assembler = Assembler()
-        for values, causality in ((self._given, Fmi2Causality.input), (self._read, Fmi2Causality.output)):
+        three = hasattr(self.library, "Fmi3Slave")
+        names = ("Fmi3Causality", "Fmi3Variability", "Float64", "Int32")
+        if not three:
+            names = ("Fmi2Causality", "Fmi2Variability", "Real", "Integer")
+        self._causality, self._variability, self._number, integer = (getattr(self.library, name) for name in names)
+        for values, causality in ((self._given, self._causality.input), (self._read, self._causality.output)):
             for name in values:
                 self._register(name, values, causality)
-        seed = Integer("seed", causality=Fmi2Causality.parameter, variability=Fmi2Variability.fixed)
-        self.register_variable(seed)
+        fixed = self._variability.fixed
+        self.register_variable(integer("seed", causality=self._causality.parameter, variability=fixed))
+        if three:
+            own = {"causality": self._causality.independent, "variability": self._variability.continuous}
+            self.register_variable(self._number("time", **own))
 
-    def _register(self, name: str, values: dict[str, Any], causality: Fmi2Causality) -> None:
+    def _register(self, name: str, values: dict[str, Any], causality: Any) -> None:
         def write(value: Any) -> None:
             values[name] = value
 
-        kind = Boolean if isinstance(values[name], bool) else Real
-        variable = kind(name, causality=causality, variability=Fmi2Variability.discrete)
+        kind = self.library.Boolean if isinstance(values[name], bool) else self._number
+        variable = kind(name, causality=causality, variability=self._variability.discrete)
         variable.getter, variable.setter = lambda: values[name], write
         self.register_variable(variable)
 
@@ -97,6 +108,7 @@ class Sensors(Fmi2Slave):  # type: ignore[misc]
             new = value.any() if name in _FLAGS else value[-1] if index < 0 else value[-1, index]
             self._read[name] = bool(new) if name in _FLAGS else float(new)
         self._read["sample_new"] = len(samples) > 0
+        self.time = row
         return True
 
 

@@ -11,13 +11,13 @@ import pytest
 
 from ahrs_sim import attitude, cli, scenario
 from ahrs_sim.flight.truth import Truth
+from ahrs_sim.plugins import sensor_unit
 from ahrs_sim.plugins.fmu_host import INPUTS
 from ahrs_sim.sensors import make_suite
 from ahrs_sim.sensors.assemble import Assembler
 from estimators.types import blank
 
 fmpy = pytest.importorskip("fmpy")
-sensor_unit = pytest.importorskip("ahrs_sim.plugins.sensor_unit")
 
 DT, ROWS = 0.0025, 800
 
@@ -43,7 +43,8 @@ def given(unit: Any, row: Truth, references: dict[str, int]) -> None:
     """Set the inputs of a unit to a row of the truth."""
     numbers = {n: (c, i) for n, (c, i) in sensor_unit.TRUTH.items() if n != "true_on_ground"}
     values = [float(np.ravel(getattr(row, column))[index]) for column, index in numbers.values()]
-    unit.setReal([references[name] for name in numbers], values)
+    set_numbers = unit.setFloat64 if hasattr(unit, "setFloat64") else unit.setReal
+    set_numbers([references[name] for name in numbers], values)
     unit.setBoolean([references["true_on_ground"]], [bool(row.on_ground[0])])
 
 
@@ -52,14 +53,18 @@ def run(path: Path, block: Truth, seed: int) -> dict[str, np.ndarray]:
     folder = fmpy.extract(str(path))
     described = fmpy.read_model_description(str(path))
     references = {v.name: v.valueReference for v in described.modelVariables}
-    unit = fmpy.fmi2.FMU2Slave(
+    three = described.fmiVersion == "3.0"
+    unit = (fmpy.fmi3.FMU3Slave if three else fmpy.fmi2.FMU2Slave)(
         guid=described.guid, unzipDirectory=folder, instanceName="sensors",
         modelIdentifier=described.coSimulation.modelIdentifier,
     )  # fmt: skip
     unit.instantiate()
-    unit.setInteger([references["seed"]], [seed])
-    unit.setupExperiment(startTime=-DT)
-    unit.enterInitializationMode()
+    (unit.setInt32 if three else unit.setInteger)([references["seed"]], [seed])
+    if three:
+        unit.enterInitializationMode(startTime=-DT)
+    else:
+        unit.setupExperiment(startTime=-DT)
+        unit.enterInitializationMode()
     unit.exitInitializationMode()
     flags = [name for name in INPUTS if name.endswith("_new")]
     numbers = [name for name in INPUTS if name not in flags]
@@ -68,7 +73,7 @@ def run(path: Path, block: Truth, seed: int) -> dict[str, np.ndarray]:
         given(unit, block[k : k + 1], references)
         unit.doStep(currentCommunicationPoint=(k - 1) * DT, communicationStepSize=DT)
         if unit.getBoolean([references["sample_new"]])[0]:
-            for names, get in ((numbers, unit.getReal), (flags, unit.getBoolean)):
+            for names, get in ((numbers, unit.getFloat64 if three else unit.getReal), (flags, unit.getBoolean)):
                 for name, value in zip(names, get([references[n] for n in names]), strict=True):
                     found[name].append(value)
     unit.terminate()
@@ -85,9 +90,14 @@ os._exit(0)
 """In a process that ends at once: PythonFMU's library crashes when an interpreter that loaded it comes to its end."""
 
 
-def test_the_unit_reads_what_the_suite_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("fmi", "library"), [("2.0", "pythonfmu"), ("3.0", "pythonfmu3")])
+def test_the_unit_reads_what_the_suite_reads(
+    tmp_path: Path, fmi: str, library: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip(library)
     path, block, seed = tmp_path / "chr.fmu", truth(), 7
-    assert cli.main(["export-fmu", "--sensors", "chr", "-o", str(path)]) == 0
+    assert cli.main(["export-fmu", "--sensors", "chr", "--fmi", fmi, "-o", str(path)]) == 0
+    assert fmpy.read_model_description(str(path)).fmiVersion == fmi
     assert "sensors of chr" in capsys.readouterr().out
     command = [sys.executable, "-c", ALONE, str(path), str(tmp_path / "read.npz"), str(seed)]
     subprocess.run(command, cwd=Path(__file__).parent, check=True)
@@ -108,7 +118,7 @@ def test_the_unit_reads_what_the_suite_reads(tmp_path: Path, capsys: pytest.Capt
         ([], "give a METHOD, or --sensors SUITE"),
         (["marg-ekf", "--sensors", "chr"], "give a METHOD, or --sensors SUITE"),
         (["--sensors", "chx"], "has no such suite; did you mean 'chr'?"),
-        (["--sensors", "chr", "--fmi", "3.0"], "a unit of FMI 2.0"),
+        (["--sensors", "chr", "--setting", "x=1"], "--setting is for a METHOD"),
     ],
 )
 def test_what_is_no_unit_is_one_line(
