@@ -47,6 +47,8 @@ class Chain:
         self.pending: list[Truth] = []  # flown, not sensed yet: short blocks are put together where nothing is urgent
         self._assembler = Assembler()
         self._turns = {name: TurnAndSlip() for name in self.estimators}
+        self._noted: dict[tuple[str, int], bool] = {}
+        self._events: list[Event] = []
 
     @property
     def suite(self) -> Suite:
@@ -65,7 +67,19 @@ class Chain:
     def estimate(self, samples: Samples) -> Iterator[tuple[str, Estimates]]:
         """Run every estimator on a block of samples; yield its name and its estimates, row by row of the samples."""
         for name, estimator in self.estimators.items():
-            yield name, estimator.process(samples)
+            estimates = estimator.process(samples)
+            for column, texts in getattr(estimator, "notes", {}).items():
+                self._note(name, column, texts, estimates)
+            yield name, estimates
+
+    def _note(self, name: str, column: int, texts: tuple[str, str], estimates: Estimates) -> None:
+        """Make events of a column of `adaptation` that becomes 1, or 0 again."""
+        on = estimates.adaptation[:, column] == 1.0
+        before = np.concatenate([[self._noted.get((name, column), False)], on])
+        for k in np.flatnonzero(on != before[:-1]):
+            level, text = ("warning", texts[0]) if on[k] else ("info", texts[1])
+            self._events.append(Event(float(estimates.t[k]), level, name, text))
+        self._noted[name, column] = bool(before[-1])
 
     def turning(self, name: str, samples: Samples, estimates: Estimates) -> Turning:
         """Make turn rate and slip of what an estimator has reported for a block of samples."""
@@ -73,7 +87,8 @@ class Chain:
 
     def take_events(self) -> list[Event]:
         """Collect events of the estimators and of the suite since the last call."""
-        events = [e for made in self.estimators.values() if isinstance(made, Guarded) for e in made.take_events()]
+        events, self._events = self._events, []
+        events += [e for made in self.estimators.values() if isinstance(made, Guarded) for e in made.take_events()]
         return events + (self._suite.take_events() if self._suite is not None else [])
 
 

@@ -84,6 +84,11 @@ class FilterEstimator:
         self._stretch, self._carry, self._work = Stretch.make(), Carry.zeros(), Work.zeros()
         self._model: Bound | None = None
 
+    @property
+    def notes(self) -> Mapping[int, tuple[str, str]]:
+        """Return what is worth an event: by column of `adaptation`, the texts for becoming 1 and 0 again."""
+        return getattr(self._module, "NOTES", {})
+
     def reset(self) -> None:
         """Forget everything seen: align anew."""
         if self._model is not None:

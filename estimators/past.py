@@ -9,7 +9,7 @@ from estimators.jit import njit
 from estimators.native import Number, Record, shaped
 from estimators.rotations import wrap
 
-SLOTS, WIDTH = 256, 7  # rows: more than a second at 200 Hz
+SLOTS, WIDTH = 256, 9  # rows: more than a second at 200 Hz
 
 
 class Ring(Record):

@@ -34,7 +34,7 @@ from estimators.jit import inner
 from estimators.models.attitude_error import mean_rate
 from estimators.models.base import FLAGS, STATE, Group, Layout, report_attitude
 from estimators.native import Flag, Flags3, Number, Record, Vector3, Vector4, local, shaped
-from estimators.past import Ring, keep, recall
+from estimators.past import WIDTH, Ring, keep, recall
 from estimators.plausible import MAX_FORCE, MAX_SPEED, on_earth, plausible
 from estimators.records import Estimate, Place, Sample, Sheet
 from estimators.rotations import attitude_matrix, multiply, normalise, rotation_slopes, to_nav, turn, wrap, yaw
@@ -163,7 +163,7 @@ def _keep(model: Parameters, t: float, x: State, memory: Memory, u: Inputs, now:
 
 def measure(model: Parameters, row: Sample, x: State, memory: Memory, u: Inputs, z: Readings, used: Used) -> int:
     """What the number of satellites allows; COASTING a while after the last fix or heading."""
-    now, then = local(7), local(7)
+    now, then = local(WIDTH), local(WIDTH)
     _keep(model, row.t, x, memory, u, now)
     used.heading = used.course = False
     for i in range(3):

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from estimators.earth import apart, move
+from estimators.elementary import atan2
 from estimators.jit import njit
 from estimators.navigator.covariance import absorb, nis
-from estimators.navigator.history import WIDTH, keep, recall
+from estimators.navigator.history import CARRIED, WIDTH, keep, recall
 from estimators.navigator.layout import (
     BASELINE,
     FIELD,
@@ -36,6 +37,7 @@ from estimators.navigator.layout import (
 )
 from estimators.navigator.strapdown import Triple
 from estimators.rotations import nav_vector, wrap, yaw
+from estimators.turned import carried, note_fix, refuse_field
 
 Z_VELOCITY, Z_PLACE, Z_FIELD, Z_BASELINE = 0, 3, 6, 9  # in the innovations
 MAX_FIELD, MAX_SPEED = 0.01, 2000.0  # T, m/s: beyond is no measurement
@@ -73,7 +75,7 @@ def take(model: Any, memory: Any, P: np.ndarray, work: Any, rows: int, out: Any,
 
 @njit
 def remember(model: Any, nominal: Any, memory: Any, w: Triple, t: float) -> None:
-    """Keep the antenna's velocity and place, and the yaw."""
+    """Keep what late measurements are compared with."""
     a, q, now = model.antenna_b, nominal.q, np.empty(WIDTH)
     swing = nav_vector(q, w[1] * a[2] - w[2] * a[1], w[2] * a[0] - w[0] * a[2], w[0] * a[1] - w[1] * a[0])
     lever = nav_vector(q, a[0], a[1], a[2])
@@ -81,6 +83,7 @@ def remember(model: Any, nominal: Any, memory: Any, w: Triple, t: float) -> None
         now[i] = nominal.v[i] + swing[i]
     move(nominal.lla, lever[0], lever[1], lever[2], now[3:6])
     now[6] = yaw(q)
+    now[CARRIED], now[CARRIED + 1] = carried(memory.turned, swing[0], swing[1])
     keep(memory.history, t, now)
 
 
@@ -110,6 +113,7 @@ def take_fix(
             put(work, i, LATE, -a_n[i])
         take(model, memory, P, work, 3, out, k, Z_VELOCITY)
         memory.clock[T_AID] = memory.clock[T_GNSS] = t
+        note_fix(memory.turned, true_t, vel_n[0], vel_n[1], then[CARRIED], then[CARRIED + 1])
         memory.seen[SPEED] = math.sqrt(vel_n[0] ** 2 + vel_n[1] ** 2 + vel_n[2] ** 2)
     if abs(lla[0]) < 1.58 and abs(lla[1]) < 6.3 and abs(lla[2]) < 1e6:
         apart(lla, then[3:6], off)
@@ -131,6 +135,8 @@ def add_field(model: Any, nominal: Any, batch: Any, C: np.ndarray, field_b: np.n
     c, u, B = nominal.c, np.empty(3), np.empty(3)
     for i in range(3):
         B[i] = model.mag_n[i] + c[FIELD + i]
+        batch.read[0] += C[i, 0] * field_b[i]
+        batch.read[1] += C[i, 1] * field_b[i]
     for i in range(3):
         u[i] = C[i, 0] * B[0] + C[i, 1] * B[1] + C[i, 2] * B[2]
     for i in range(3):
@@ -155,9 +161,12 @@ def add_field(model: Any, nominal: Any, batch: Any, C: np.ndarray, field_b: np.n
 
 @njit
 def take_field(model: Any, memory: Any, P: np.ndarray, batch: Any, work: Any, t: float, out: Any, k: int) -> None:
-    """The mean of the readings of a batch, all three components."""
+    """The mean of the readings of a batch, all three components, unless motion contradicts it."""
     n = batch.total[FIELDS]
     if n == 0.0:
+        return
+    turn = atan2(model.mag_n[1], model.mag_n[0]) - atan2(batch.read[1], batch.read[0])  # as if nothing were learnt
+    if refuse_field(memory.turned, t, wrap(turn), model.gnss_velocity, model.field_off):
         return
     for i in range(3):
         begin(work, i, batch.field[i] / n, model.mag_noise**2 / n + model.mag_floor**2)

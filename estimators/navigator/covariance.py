@@ -30,6 +30,7 @@ def clear(batch: Any) -> None:
         batch.total[i] = 0.0
     for i in range(3):
         batch.field[i] = batch.rate[i] = 0.0
+        batch.read[i % 2] = 0.0
         for k in range(N):
             batch.field_slope[i, k] = 0.0
 

@@ -1,5 +1,6 @@
-"""Past states, for measurements that are old when they arrive: the antenna's velocity and place, and the yaw.
+"""Past states, for measurements that are old when they arrive.
 
+They are the antenna's velocity and place, the yaw, and the velocity that the gyro alone carries (`turned`).
 A correction is of the past as well: what was taken in since a state was kept has to be in it when a fix of that moment
 is compared with it, or the fix would correct it once more.
 """
@@ -14,7 +15,7 @@ from estimators.jit import njit
 from estimators.rotations import wrap
 
 SLOTS = 256  # rows: more than a second at 200 Hz
-VELOCITY, PLACE, YAW, WIDTH = 0, 3, 6, 7
+VELOCITY, PLACE, YAW, CARRIED, WIDTH = 0, 3, 6, 7, 9
 _LONGITUDE = 4
 
 
@@ -23,7 +24,7 @@ class History(NamedTuple):
 
     newest: np.ndarray  # (1,) int64, its slot; -1: nothing yet
     t: np.ndarray  # (SLOTS,) s, NaN where there is nothing
-    values: np.ndarray  # (SLOTS, WIDTH) m/s, then rad, rad, m, then rad
+    values: np.ndarray  # (SLOTS, WIDTH) m/s, then rad, rad, m, then rad, then m/s
 
     @classmethod
     def make(cls) -> "History":

@@ -97,6 +97,7 @@ class Parameters(NamedTuple):
     accel_delay: float  # s: and moved on by so much
     baseline_share: float  # of the reported sigma that is white
     surprise: float  # of a measurement, per degree of freedom: beyond, its noise is taken as larger
+    field_off: float  # rad, of the field's heading against motion's: it is given up
     use_heading: bool
 
 
@@ -118,6 +119,7 @@ class Memory(NamedTuple):
     step: np.ndarray  # (3,) rad/s, last change of the rate
     second: np.ndarray  # (2, 6) mean and spread of the present second
     seen: np.ndarray  # (SEEN,)
+    turned: np.ndarray  # (SIZE,) the heading that motion shows, see `turned`
     history: History
 
 
@@ -131,6 +133,7 @@ class Batch(NamedTuple):
     F: np.ndarray  # (MOVING, COUPLED) transition of the moving components; the others keep
     total: np.ndarray  # (TOTALS,)
     field: np.ndarray  # (3,) T, sum of measured minus predicted field
+    read: np.ndarray  # (2,) T, sum of the readings as they are, north and east
     field_slope: np.ndarray  # (3, N) sum of its slopes
     rate: np.ndarray  # (3,) rad, turned in it, the Earth's turning taken off
 

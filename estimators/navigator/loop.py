@@ -62,9 +62,12 @@ from estimators.navigator.layout import (
 )
 from estimators.navigator.strapdown import Triple, advance, true_force, true_rate
 from estimators.rotations import attitude_matrix, nav_vector, normalise, turn_nav, turned
+from estimators.turned import REFUSED, is_lost, note_correction, note_force, turned_by
 from estimators.types import MEASUREMENTS, Status
 
 BATCH_S = 0.1
+SOUND, ANEW, LOST = range(3)  # how a batch ends
+WRONG_TILT = 0.15  # rad, that a wrong heading has made
 MAX_STEP, MAX_STEPS = 0.5, 120  # s; a longer gap than a minute is bridged with longer steps
 MAX_RATE, MAX_FORCE = 100.0, 2000.0  # rad/s, m/s2
 JERK_TIME = 0.3  # s, over which the gyro's scatter between samples is averaged
@@ -107,14 +110,14 @@ def run(model: Any, carry: Any, work: Any, rows: Any, out: Any, first: int) -> N
         attitude_matrix(nominal.q, work.C)
         if rows.mag_new[k] and is_field(rows.mag_b[k]):
             add_field(model, nominal, batch, work.C, rows.mag_b[k])
-        sound = True
+        ended = SOUND
         due = rows.gnss_new[k] or (model.use_heading and rows.heading_new[k])
         if due or t - memory.clock[T_BATCH] >= BATCH_S - 1e-6:
-            sound = correct(model, carry, work, rows, k, f_n, out)
-            note_end(work.tape, work, P, not sound, k)
+            ended = correct(model, carry, work, rows, k, f_n, out)
+            note_end(work.tape, work, P, ended != SOUND, k)
         aided = t - memory.clock[T_AID] <= AID_TIMEOUT and t - memory.clock[T_MAG] <= MAG_TIMEOUT
         out.status[k] = _RUNNING if aided and memory.seen[GOOD] == 1.0 and dt <= MAX_STEP else _COASTING
-        if not sound:
+        if ended == LOST:
             out.status[k] = _DIVERGED
             for i in range(MEASUREMENTS):
                 out.innovation[k, i] = out.innovation_var[k, i] = math.nan
@@ -167,6 +170,7 @@ def predict(model: Any, carry: Any, work: Any, dt: float, k: int) -> Triple:
     for _ in range(steps):
         if part > 0.0:
             f_n = advance(model, nominal, batch, work.C, w, f, part)
+            note_force(memory.turned, f_n[0], f_n[1], part)
             batch.total[GYRO_VARIANCE] += psd * part
             batch.total[FORCE_VARIANCE] += (model.accel_psd + model.accel_noise2 * a2) * part
         if steps > 1:
@@ -212,14 +216,17 @@ def watch_second(model: Any, c: np.ndarray, memory: Any) -> None:
 
 
 @njit
-def correct(model: Any, carry: Any, work: Any, rows: Any, k: int, f_n: Triple, out: Any) -> bool:
-    """End a batch: the covariance, then whatever has been measured; False when it was lost and begins anew."""
+def correct(model: Any, carry: Any, work: Any, rows: Any, k: int, f_n: Triple, out: Any) -> int:
+    """End a batch: the covariance, then whatever has been measured; SOUND, or begun ANEW, or LOST and begun anew."""
     nominal, P, batch, memory, dx = carry.nominal, carry.P, carry.batch, carry.memory, work.dx
-    t = rows.t[k]
+    t, anew = rows.t[k], False
     move(model, nominal.c, P, batch, work)
     note_motion(work.tape, work, batch.F)
     for i in range(N):
         dx[i] = 0.0
+    if is_lost(memory.turned, t, math.isnan(memory.clock[T_MAG]), model.gnss_velocity, model.field_off):
+        set_heading(model, carry, dx, t)
+        anew = True
     if rows.gnss_new[k]:
         take_fix(model, nominal, memory, P, work, rows, k, f_n, out)
     if memory.seen[IS_STILL] < memory.seen[WAS_STILL]:
@@ -233,17 +240,33 @@ def correct(model: Any, carry: Any, work: Any, rows: Any, k: int, f_n: Triple, o
         take_standstill(model, nominal, memory, P, batch, work, t, out, k)
     symmetric(P)
     retract(nominal, dx)
+    note_correction(memory.turned, dx[PHI + 2])
     correct_past(memory.history, t, dx)
     clear(batch)
     memory.clock[T_BATCH] = t
     if healthy(nominal, P):
         store(nominal, carry.safe)
-        return True
+        return ANEW if anew else SOUND
     recover(nominal, carry.safe)
     for i in range(N):
         for j in range(N):
             P[i, j] = carry.P_restart[i, j]
-    return False
+    return LOST
+
+
+@njit
+def set_heading(model: Any, carry: Any, dx: np.ndarray, t: float) -> None:
+    """Turn to the heading that motion shows; what a wrong one has taught is forgotten, but for place and gyro bias."""
+    P, c = carry.P, carry.nominal.c
+    turn, sigma = turned_by(carry.memory.turned, t, model.gnss_velocity)
+    for i in range(N):
+        for j in range(N):
+            P[i, j] = carry.P_restart[i, j]
+        if i >= ACCEL_BIAS:
+            c[i] = 0.0
+    dx[PHI + 2] = turn
+    P[PHI, PHI] = P[PHI + 1, PHI + 1] = WRONG_TILT**2
+    P[PHI + 2, PHI + 2] = sigma * sigma
 
 
 @njit
@@ -333,6 +356,7 @@ def report(model: Any, nominal: Any, P: np.ndarray, memory: Any, work: Any, out:
             out.vel_cov[k, i, j], out.pos_cov[k, i, j] = P[VEL + i, VEL + j], P[POS + i, POS + j]
     out.adaptation[k, 0] = memory.seen[IS_STILL]
     out.adaptation[k, 1] = memory.seen[SURPRISE]
+    out.adaptation[k, 2] = memory.turned[REFUSED]
 
 
 @njit

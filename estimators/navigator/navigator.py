@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from estimators import native
+from estimators import turned as turned_
 from estimators.alignment import ALIGNING, NO_HEADING, STILL, Alignment, Stretch, align, concluded, limits, pieces
 from estimators.errors import EstimationError, SampleError
 from estimators.jit import JIT, on_disk
@@ -62,7 +63,7 @@ from estimators.types import Estimates, Samples, SensorInfo, Site, blank
 
 FLICKER = 1.29  # sigma of a Gauss-Markov term one decade wide, over the floor of the Allan deviation
 SCALE_TIME = 5.0  # s, how long a rate lasts
-STATE_VERSION = 2
+STATE_VERSION = 3
 ALIGNMENT_SHARE = 4.0  # alignment and calibration states come from the same readings: it counts as this much wider
 
 
@@ -105,6 +106,11 @@ class Navigator:
         places = {"gnss.vel_n": (Z_VELOCITY, 3), "gnss.place_n": (Z_PLACE, 3), "field.mag_b": (Z_FIELD, 3)}
         places["baseline.heading"] = Z_BASELINE, 1
         return {name: slice(first, first + rows) for name, (first, rows) in places.items()}
+
+    @property
+    def notes(self) -> Mapping[int, tuple[str, str]]:
+        """Return what is worth an event: by column of `adaptation`, the texts for becoming 1 and 0 again."""
+        return turned_.NOTES
 
     def process(self, samples: Samples, work: Work | None = None) -> Estimates:
         """One row of estimates for each row of samples; `work` takes notes for a smoother.
@@ -271,6 +277,7 @@ def parameters(settings: Mapping[str, Any], site: Site, sensors: SensorInfo) -> 
         mag_floor=settings["mag_floor"] * math.hypot(*site.mag_n),
         baseline_share=settings["heading_share"],
         surprise=settings["surprise"],
+        field_off=settings["field_off"],
         use_heading=bool(settings["heading_aid"]),
     )
 
@@ -321,8 +328,12 @@ def start(
         lla=alignment.lla.copy() if np.isfinite(alignment.lla).all() else np.array(site.lla, float),
         c=c,
     )
-    batch = Batch(np.zeros((MOVING, COUPLED)), np.zeros(TOTALS), np.zeros(3), np.zeros((3, N)), np.zeros(3))
+    batch = Batch(
+        np.zeros((MOVING, COUPLED)), np.zeros(TOTALS), np.zeros(3), np.zeros(2), np.zeros((3, N)), np.zeros(3)
+    )
     clear(batch)
+    turned = np.empty(turned_.SIZE)
+    turned_.begin(turned)
     seen = np.full(SEEN, np.nan)
     seen[[IS_STILL, WAS_STILL, COUNT, JERK]], seen[GOOD] = 0.0, 1.0
     memory = Memory(
@@ -332,6 +343,7 @@ def start(
         step=np.zeros(3),
         second=np.zeros((2, 6)),
         seen=seen,
+        turned=turned,
         history=History.make(),
     )
     safe = np.zeros(10 + N)

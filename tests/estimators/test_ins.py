@@ -248,3 +248,37 @@ def test_a_faster_magnetometer_does_not_count_for_more():
         estimator = create("ins21", site=SITE, sensors=SENSORS, align_s=5.0)
         sigmas.append(estimator.process(dataclasses.replace(samples, mag_new=mag_new)).att_cov[-1, 2, 2] ** 0.5)
     assert sigmas[1] == pytest.approx(sigmas[0], rel=0.05)
+
+
+def _turned_field(samples, wrong):
+    """The samples with the field 60 degrees off about the vertical of the aircraft where `wrong`."""
+    c, s = np.cos(np.radians(60.0)), np.sin(np.radians(60.0))
+    turned = samples.mag_b @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    return dataclasses.replace(samples, mag_b=np.where(wrong[:, None], turned, samples.mag_b))
+
+
+@pytest.mark.parametrize("name", ["ins21", "ins-cal"])
+def test_a_field_that_motion_contradicts_is_given_up_and_taken_back(name):
+    samples, truth, _ = flown(turn_s=150.0)
+    wrong = samples.t < 120.0
+    estimates = create(name, site=SITE, sensors=SENSORS).process(_turned_field(samples, wrong))
+    given_up = estimates.adaptation[:, 2] == 1.0
+    turning = (samples.t > 60.0) & wrong
+    assert given_up[turning].all()
+    assert (estimates.status[turning] == Status.COASTING).all()
+    _, tilt, heading = error_deg(estimates.q_nb, truth)
+    assert rms(heading[turning]) < 4.0  # opened, and learnt anew in the turn
+    assert rms(tilt[turning]) < 1.2
+    sigma = np.degrees(np.sqrt(estimates.att_cov[turning, 2, 2]))
+    assert rms(heading[turning] / sigma) < 1.8
+    later = samples.t > 140.0
+    assert not given_up[later].any()
+    assert (estimates.status[later] == Status.RUNNING).all()
+    assert rms(heading[later]) < 2.0
+
+
+@pytest.mark.parametrize("name", ["ins21", "ins-cal"])
+def test_a_field_without_motion_is_not_contradicted(name):
+    samples, _ = still(60.0)
+    estimates = create(name, site=SITE, sensors=SENSORS).process(_turned_field(samples, samples.t > 30.0))
+    assert not (estimates.adaptation[:, 2] == 1.0).any()

@@ -1,5 +1,7 @@
 """Whether `ins21` knows how far off it is: attitude, velocity, place and biases in turns, with both grades."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,7 @@ def at(t, times, values):
 def nees(truth: Truth, errors: ImuErrorsRecord, samples: Samples, estimator) -> dict[str, float]:
     """Mean NEES per degree of freedom."""
     e = estimator.process(samples)
+    assert not (e.adaptation[:, 2] == 1.0).any()  # a good magnetometer is never given up
     rows = np.flatnonzero((e.t >= START) & (e.t <= truth.t[-1]))[::10]
     t, thin = e.t[rows], slice(None, None, 4)
     q = attitude.interpolate(truth.t[thin], truth.q_nb[thin], t)
@@ -102,3 +105,27 @@ def test_a_delay_that_nobody_declared_is_learnt():
         errors[name, bool(given)] = float(np.sqrt(np.mean(attitude.rotation_vector(q, e.q_nb[rows]) ** 2)))
     assert errors["late", False] < 1.8 * errors["chr", False]
     assert errors["late", True] > 1.5 * errors["late", False]
+
+
+@pytest.mark.parametrize("name", ["ins21", "ins-cal"])
+def test_a_magnetometer_that_is_simply_wrong_costs_no_more_than_none(turned, name):
+    """60 degrees off from the start: given up in the take-off run; errors at most 1.5 times those without any."""
+    place, truth, info, samples = turned
+    none = dataclasses.replace(samples, mag_b=np.full_like(samples.mag_b, np.nan))
+    errors = []
+    for seen in (samples, none):
+        e = create(name, site=place, sensors=info, heading_aid=False).process(seen)
+        rows = np.flatnonzero((e.t >= START) & (e.t <= truth.t[-1]))[::10]
+        q = attitude.interpolate(truth.t[::4], truth.q_nb[::4], e.t[rows])
+        errors.append(float(np.sqrt(np.mean(attitude.rotation_vector(q, e.q_nb[rows]) ** 2))))
+        nees = float(np.nanmean(consistency.attitude_nees(e.q_nb[rows], e.att_cov[rows], q))) / 3.0
+        assert (e.adaptation[rows, 2] == 1.0).all() == (seen is samples)
+        assert seen is none or nees < 3.0
+    assert errors[0] < 1.5 * errors[1]
+
+
+@pytest.fixture(scope="module")
+def turned():
+    place, truth, suites = flown(1, chr={"grade": "chr_6dm", "magnetometer": {"turned_deg": 60.0}})
+    info, samples, _ = suites["chr"]
+    return place, truth, info, samples

@@ -15,7 +15,7 @@ Aids (`aids`, a file each):
     still      v = 0 and gyro = bias while a second without scatter says so
     pseudo     hand-held: v = 0 within 1 m/s and p = start within 1 m, ten times a second: replaces an inertial low-pass
     magnetic   heading only (tilt columns zero, for every filter: a disturbed field must not tilt the horizon); norm and
-               dip away from the local field inflate the noise
+               dip away from the local field inflate the noise; one that motion contradicts is given up (`turned`)
     heading    dual-antenna baseline, also with latency
     airspeed   C_bn (v - wind) = V (cos i, 0, sin i), i the incidence of cruise, wide across; without GNSS v itself is
                the velocity in the air mass
@@ -51,3 +51,4 @@ from estimators.models.ins.mechanisation import transition as transition
 from estimators.models.ins.start import SETTINGS as SETTINGS
 from estimators.models.ins.start import build as build
 from estimators.models.ins.start import layout as layout
+from estimators.turned import NOTES as NOTES

@@ -11,9 +11,10 @@ from estimators.models.base import FLAGS, STATE, report_attitude
 from estimators.models.ins.aids import AIDS, GROUPED, by_group, in_turn
 from estimators.models.ins.layout import BA, BG, P_, Kept, Motion, Shared, State, V
 from estimators.native import Record, flags, local, vector
-from estimators.past import keep
+from estimators.past import WIDTH, keep
 from estimators.records import Estimate, Sample
 from estimators.rotations import attitude_matrix, to_nav, wrap, yaw
+from estimators.turned import REFUSED, carried
 from estimators.types import Status
 
 AID_TIMEOUT, MAG_TIMEOUT = 2.0, 2.0  # s
@@ -51,16 +52,19 @@ def measure(model: Shared, row: Sample, x: State, memory: Kept, u: Motion, z: An
 
 @inner
 def _keep(model: Shared, t: float, x: State, memory: Kept, u: Motion) -> None:
-    """Store antenna velocity, position and yaw in the ring, for measurements that come later."""
+    """Store what later measurements compare with in the ring; and the attitude before this row's."""
     a, e, r = model.antenna_b, x.gyro_bias, u.rate_b
     wx, wy, wz = r[0] - e[0], r[1] - e[1], r[2] - e[2]
-    lever, swing, now = local(3), local(3), local(7)
+    lever, swing, now = local(3), local(3), local(WIDTH)
     to_nav(x.q_nb, a[0], a[1], a[2], lever)
     to_nav(x.q_nb, wy * a[2] - wz * a[1], wz * a[0] - wx * a[2], wx * a[1] - wy * a[0], swing)
     for i in range(3):
         now[i] = x.vel_n[i] + swing[i]
     move(x.lla, lever[0], lever[1], lever[2], now[3:6])
     now[6] = yaw(x.q_nb)
+    now[7], now[8] = carried(memory.turned.s, swing[0], swing[1])
+    for i in range(4):
+        memory.q_nb[i] = x.q_nb[i]
     keep(memory.ring, t, now)
 
 
@@ -108,3 +112,4 @@ def report(model: Shared, x: State, P: np.ndarray, memory: Any, answer: Estimate
             answer.pos_cov[i, i] += model.place_wander[i]
     answer.adaptation[0] = 1.0 if memory.is_still else 0.0
     answer.adaptation[1] = memory.field.inflation
+    answer.adaptation[2] = memory.turned.s[REFUSED]

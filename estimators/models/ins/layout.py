@@ -7,6 +7,7 @@ import numpy as np
 from estimators.models.base import GROUPS, STATE
 from estimators.native import Flag, Integer, Number, Record, Vector3, Vector4, shaped
 from estimators.past import Ring
+from estimators.turned import Turned
 
 PHI, V, P_, BG, BA, SG, HI, WIND = 0, 3, 6, 9, 12, 15, 18, 21  # offsets in the error
 LARGEST = 24  # components of the error
@@ -49,6 +50,8 @@ class Shared(Record):
     place_walk: Vector3  # m2/s: the rest of a fix's error wanders, and the place with it
     place_wander: Vector3  # m2, variance of that: what the place is off besides, and no fix shows
     speed_min: Number  # m/s, an airspeed above is not wind on the ground
+    velocity: Number  # m/s, sigma of the receiver's
+    opened: Annotated[np.ndarray, shaped(LARGEST)]  # variances after a wrong heading
     report_place: Flag  # place and velocity are over the ground
     start: Annotated[np.ndarray, shaped(GROUPS, dtype=np.int64)]  # first row in z of each group of measurements
     rows: Annotated[np.ndarray, shaped(GROUPS, dtype=np.int64)]  # its rows
@@ -77,7 +80,10 @@ class Kept(Record):
     fix_t: Number  # s, when a complete velocity was last received
     speed: Number  # m/s, of it
     fixed: Flag  # velocity and place are measured in this row
-    ring: Ring  # the antenna's velocity and place, and yaw
+    ring: Ring  # the antenna's velocity and place, yaw, and what `turned` integrates
+    turned: Turned  # the heading that motion shows
+    q_nb: Vector4  # the attitude before the last row's measurements
+    reopened: Flag  # the next step opens the covariance
 
 
 class Motion(Record):
@@ -88,4 +94,5 @@ class Motion(Record):
     mag_b: Vector3  # T, field as read
     gyro_psd: Number  # rad2/s, noise of the step
     accel_psd: Number  # m2/s3
+    reopened: Number  # 1: the covariance is opened
     changed: Annotated[np.ndarray, shaped(6)]  # variances by which the biases have changed

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from estimators.earth import GRAVITY_GRADIENT, apart, frame_rates, move
+from estimators.elementary import atan2
 from estimators.jit import inner
 from estimators.models.ins.detectors import watch_jerks, watch_second
 from estimators.models.ins.layout import BA, BG, HI, P_, PHI, SG, WIND, Kept, Motion, Shared, State, V
@@ -19,6 +20,7 @@ from estimators.rotations import (
     turn_nav,
     turned,
 )
+from estimators.turned import note_correction, note_force
 
 
 def load(model: Shared, row: Sample, x: State, memory: Kept, u: Motion) -> None:
@@ -43,8 +45,12 @@ def load(model: Shared, row: Sample, x: State, memory: Kept, u: Motion) -> None:
     for i in range(3):
         rate2 += (u.rate_b[i] - x.gyro_bias[i]) ** 2
     u.gyro_psd = model.gyro_psd + model.rate_noise * rate2 + model.jerk_share * dt * memory.jerky
-    u.accel_psd = model.accel_psd + model.accel_noise2 * acceleration2(model, x, u)
+    north, east, down = acceleration(model, x, u)
+    note_turned(x, memory)
+    note_force(memory.turned.s, north, east, dt)
+    u.accel_psd = model.accel_psd + model.accel_noise2 * (north * north + east * east + down * down)
     u.accel_psd += min(model.shake_share * dt * memory.shaky, model.shake_most)
+    u.reopened, memory.reopened = (1.0 if memory.reopened else 0.0), False
     for i in range(6):
         u.changed[i] = 0.0
     if not good:
@@ -54,11 +60,21 @@ def load(model: Shared, row: Sample, x: State, memory: Kept, u: Motion) -> None:
 
 
 @inner
-def acceleration2(model: Shared, x: State, u: Motion) -> float:
-    """Square of the acceleration over the ground, m2/s4."""
+def acceleration(model: Shared, x: State, u: Motion) -> tuple[float, float, float]:
+    """Acceleration over the ground, m/s2 NED."""
     f, b = u.accel_b, x.accel_bias
     north, east, down = nav_vector(x.q_nb, f[0] - b[0], f[1] - b[1], f[2] - b[2])
-    return float(north**2 + east**2 + (down + model.gravity) ** 2)
+    return north, east, down + model.gravity
+
+
+@inner
+def note_turned(x: State, memory: Kept) -> None:
+    """Note by how much the last row's measurements have turned the heading."""
+    q, p = x.q_nb, memory.q_nb  # q (x) p*: scalar and vertical part
+    scalar = q[0] * p[0] + q[1] * p[1] + q[2] * p[2] + q[3] * p[3]
+    vertical = q[3] * p[0] - q[0] * p[3] + q[2] * p[1] - q[1] * p[2]
+    if vertical != 0.0 and math.isfinite(scalar):
+        note_correction(memory.turned.s, 2.0 * atan2(vertical if scalar > 0.0 else -vertical, abs(scalar)))
 
 
 def propagate(model: Shared, x: State, u: Motion, dt: float, out: State) -> None:
@@ -116,6 +132,9 @@ def process_noise(model: Shared, x: State, u: Motion, dt: float, P: np.ndarray) 
         P[P_ + i, P_ + i] += model.place_walk[i] * dt
     for i in range(9, model.states):
         P[i, i] += model.walks[i - 9] * dt
+    if u.reopened != 0.0:
+        for i in range(model.states):
+            P[i, i] += model.opened[i]
     for i in range(6):  # bounded: rates that come and go bring the same bias again, not another on top
         P[BG + i, BG + i] += max(min(u.changed[i], 40.0 * u.changed[i] - P[BG + i, BG + i]), 0.0)
 

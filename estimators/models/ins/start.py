@@ -18,6 +18,7 @@ from estimators.models.ins.layout import BA, BG, HI, LARGEST, P_, PHI, SG, WIND,
 from estimators.native import local
 from estimators.records import Place, Sheet
 from estimators.settings import Setting
+from estimators.turned import begin
 
 SETTINGS = {
     **ALIGNED,
@@ -81,6 +82,8 @@ def build(
     _set_parameters(n, settings, site, sensors, model)
     _set_walks(n, settings, site, sensors, model)
     _configure_aids(settings, site, sensors, model)
+    begin(memory.turned.s)
+    memory.reopened = False
     memory.count = memory.jerky = memory.shaky = 0.0
     memory.good = True
     use_gnss = settings.aiding == _GNSS or settings.aiding == _BOTH
@@ -103,7 +106,9 @@ def build(
         sigma[V + i] = 3.0 if known else 30.0 if alignment.moving else 0.1
     for i in range(n):
         P[i, i] = P_restart[i, i] = sigma[i] ** 2
+        model.opened[i] = sigma[i] ** 2 if i >= BG else 0.0
     for i in range(3):
+        model.opened[PHI + i], model.opened[V + i] = 1.0 if i == 2 else 0.1**2, 3.0**2
         P_restart[PHI + i, PHI + i], P_restart[V + i, V + i] = 0.5**2, 10.0**2
 
 
@@ -159,6 +164,7 @@ def _set_parameters(n: int, settings: Any, site: Place, sensors: Sheet, model: A
     )
     model.along2[0] = 0.0 if n > SG else (turn * sensors.gyro_scale_factor) ** 2
     model.along2[1] = (turn * sensors.accel_scale_factor) ** 2
+    model.velocity = max(settings.velocity_share * sensors.gnss_vel, 1e-3)
     model.jerk_share, model.speed_min = settings.jerk_share, settings.speed_min
     model.still_rate, model.still_force = still_limits(sensors)
     for g in range(GROUPS):

@@ -28,9 +28,9 @@ from collections.abc import Callable
 from typing import Any
 
 from estimators.jit import inner
-from estimators.models.ins.aids import airspeed, baseline, field, gnss, pseudo, still
+from estimators.models.ins.aids import airspeed, baseline, field, gnss, pseudo, realign, still
 
-AIDS: tuple[Any, ...] = (gnss, pseudo, still, field, baseline, airspeed)
+AIDS: tuple[Any, ...] = (gnss, pseudo, still, field, baseline, realign, airspeed)
 GROUPED = tuple(aid for aid in AIDS if aid.READS_AS == aid.NAME)
 """Those with a group of their own: its number is the place here."""
 

@@ -7,7 +7,7 @@ import numpy as np
 from estimators.jit import inner
 from estimators.models.ins.layout import PHI, RING_ANGLES, Kept, Motion, Shared, State, V
 from estimators.native import Flag, Number, Record, local
-from estimators.past import recall
+from estimators.past import WIDTH, recall
 from estimators.plausible import plausible
 from estimators.records import Place, Sample, Sheet
 from estimators.rotations import attitude_matrix, yaw
@@ -60,7 +60,7 @@ def measure(
 ) -> None:  # fmt: skip
     """Once in `PERIOD`, when the ring still knows its time."""
     due = own.wanted and row.heading_new and plausible(row.heading, 100.0) and not row.t - kept.t < PERIOD - 1e-6
-    then = local(7)
+    then = local(WIDTH)
     if due and recall(memory.ring, row.heading_t, RING_ANGLES, then):
         kept.t = row.t
         sigma = own.factor * row.heading_sigma

@@ -13,8 +13,9 @@ from estimators.models.ins.layout import HI, PHI, WIND, Kept, Motion, Shared, St
 from estimators.native import Number, Record, local
 from estimators.plausible import MAX_FIELD, plausible
 from estimators.records import Place, Sample, Sheet
-from estimators.rotations import attitude_matrix, to_nav
+from estimators.rotations import attitude_matrix, to_nav, wrap
 from estimators.settings import Setting
+from estimators.turned import refuse_field
 
 NAME = READS_AS = "field"
 ANGLE, REPORTED = True, True
@@ -97,8 +98,12 @@ def measure(
     dip = (atan2(m[2], horizontal) - atan2(n[2], known)) / own.dip_scale
     wrong = off * off + dip * dip
     kept.inflation = 1.0 + wrong + 0.1 * wrong * wrong
+    azimuth = atan2(n[1], n[0])
+    innovation = wrap(azimuth - atan2(m[1], m[0]))
+    if refuse_field(memory.turned.s, row.t, innovation, model.velocity, model.realign.off):
+        return
     sigma = own.sigma * norm_n / known
-    z.azimuth = atan2(n[1], n[0])
+    z.azimuth = azimuth
     variance.azimuth = sigma * sigma * kept.inflation
     used.azimuth = 1
     memory.mag_t = row.t

@@ -14,12 +14,13 @@ import numpy as np
 from estimators.earth import apart
 from estimators.jit import inner
 from estimators.models.ins.layout import BG, P_, RING_ANGLES, Kept, Motion, Shared, State, V
-from estimators.models.ins.mechanisation import acceleration2
+from estimators.models.ins.mechanisation import acceleration
 from estimators.native import Flag, Number, Record, Vector3, local
-from estimators.past import recall
+from estimators.past import WIDTH, recall
 from estimators.plausible import MAX_SPEED, on_earth, plausible
 from estimators.records import Place, Sample, Sheet
 from estimators.settings import Setting
+from estimators.turned import note_fix
 
 NAME = READS_AS = "gnss"
 ANGLE, REPORTED = False, True
@@ -85,7 +86,7 @@ def measure(
     """Take every fix whose time the ring still knows."""
     if not (own.fitted and row.gnss_new):
         return
-    then, there, here = local(7), local(3), local(3)
+    then, there, here = local(WIDTH), local(3), local(3)
     if math.isnan(kept.late):
         kept.late, kept.late2 = 0.0, own.late2
     taken = kept.late if kept.late > SURELY_LATE else 0.0
@@ -94,7 +95,8 @@ def measure(
         return
     if own.late2 > 0.0:
         learn_delay(own, memory, row, taken, then, kept)
-    accelerating2 = acceleration2(model, x, u)
+    north, east, down = acceleration(model, x, u)
+    accelerating2 = north * north + east * east + down * down
     apart(row.lla, then[3:6], there)
     apart(x.lla, model.origin, here)
     place, complete = on_earth(row.lla[0], row.lla[1], row.lla[2]), True
@@ -110,6 +112,7 @@ def measure(
         complete &= known
     memory.fixed = used.vel_n[0] != 0
     if complete:
+        note_fix(memory.turned.s, true_t, row.vel_n[0], row.vel_n[1], then[7], then[8])
         v = row.vel_n
         memory.speed = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
         memory.aid_t = memory.fix_t = row.t
@@ -118,7 +121,7 @@ def measure(
 @inner
 def learn_delay(own: Parameters, memory: Kept, row: Sample, taken: float, then: np.ndarray, kept: Memory) -> None:
     """Improve the delay by what a velocity is off along the acceleration of its time."""
-    before = local(7)
+    before = local(WIDTH)
     if not recall(memory.ring, row.gnss_t - taken - SPAN, RING_ANGLES, before):
         return
     information, along, square = 0.0, 0.0, 0.0  # of what the delay is beyond its estimate
