@@ -32,7 +32,7 @@ FORCE = 0.15  # m/s2, what a tilt of a degree makes
 DRIFT = 1e-3  # rad/s, of the gyro
 SURE = 0.14  # rad, sigma above which nothing is concluded
 FIT = 0.7  # share of the velocity's changes that the rotation explains
-LONG, AGAIN = 4.0, 10.0  # s
+LONG, AGAIN = 2.5, 10.0  # s
 SLIGHT = 0.1  # rad: a filter that has not believed the wrong field is left alone
 GROSS = 3.0  # a contradiction so many times larger takes so much less time
 BACK = 0.4  # of `off`: the field fits
@@ -133,7 +133,7 @@ def refuse_field(s: np.ndarray, t: float, innovation: float, velocity: float, of
     wrong = abs(wrap(innovation - turn)) if sigma < SURE else abs(innovation)
     if s[REFUSED] == 0.0:
         contradicts = sigma < SURE and wrong > max(off, 4.0 * sigma)
-        s[WRONG_S] = max(s[WRONG_S] + dt * (min(wrong / off, GROSS) if contradicts else -1.0), 0.0)
+        s[WRONG_S] = max(s[WRONG_S] + dt * (min(wrong / off, GROSS) if contradicts else -0.25), 0.0)
         s[REFUSED], s[RIGHT_S] = 1.0 if s[WRONG_S] >= LONG else 0.0, 0.0
     else:
         s[RIGHT_S] = s[RIGHT_S] + dt if wrong < BACK * off else 0.0

@@ -43,6 +43,7 @@ Z_VELOCITY, Z_PLACE, Z_FIELD, Z_BASELINE = 0, 3, 6, 9  # in the innovations
 MAX_FIELD, MAX_SPEED = 0.01, 2000.0  # T, m/s: beyond is no measurement
 STILL_SPEED = 0.05  # m/s
 UP = 1.5  # satellites are all above: vertical errors are larger by about that
+LEVEL = math.sqrt(3.0 / (2.0 + UP**2))  # of a data sheet's sigma, the mean over the axes: north and east
 
 
 @njit

@@ -82,6 +82,8 @@ class Parameters(NamedTuple):
     rate_noise: float  # s: gyro_psd + rate_noise |w|^2
     jerk_share: float  # gyro_psd + jerk_share dt (variance between samples)
     accel_psd: float  # m2/s3
+    shake_share: float  # accel_psd + shake_share dt (variance between samples), at most `shake_most`
+    shake_most: float  # m2/s3
     accel_noise2: float  # s, accel_psd + accel_noise2 |a|^2
     decay: np.ndarray  # (N,) 1/s: zero for a constant
     walk: np.ndarray  # (N,) variance per second of what walks
@@ -116,7 +118,7 @@ class Memory(NamedTuple):
     clock: np.ndarray  # (CLOCKS,) s
     last: np.ndarray  # (2, 3) last good rate and force
     mean: np.ndarray  # (2, 3) mean rate and force of the step
-    step: np.ndarray  # (3,) rad/s, last change of the rate
+    step: np.ndarray  # (2, 3) rad/s, m/s2: last changes of rate and force
     second: np.ndarray  # (2, 6) mean and spread of the present second
     seen: np.ndarray  # (SEEN,)
     turned: np.ndarray  # (SIZE,) the heading that motion shows, see `turned`
@@ -124,7 +126,7 @@ class Memory(NamedTuple):
 
 
 T_LAST, T_GOOD, T_BATCH, T_AID, T_GNSS, T_MAG, T_SECOND, CLOCKS = range(8)
-GOOD, JERK, COUNT, IS_STILL, WAS_STILL, SPEED, SURPRISE, SEEN = range(8)
+GOOD, JERK, SHAKE, COUNT, IS_STILL, WAS_STILL, SPEED, SURPRISE, SEEN = range(9)
 
 
 class Batch(NamedTuple):

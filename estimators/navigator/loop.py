@@ -44,6 +44,7 @@ from estimators.navigator.layout import (
     MAG_MATRIX,
     PHI,
     POS,
+    SHAKE,
     SPEED,
     SURPRISE,
     T_AID,
@@ -136,18 +137,23 @@ def read_inertial(t: float, gyro: np.ndarray, accel: np.ndarray, memory: Any) ->
     last, mean = memory.last, memory.mean
     dt = t - memory.clock[T_GOOD]
     fresh = dt < 0.1
-    square = 0.0
+    square, shaken = 0.0, 0.0
     for i in range(3):
         step = gyro[i] - last[0, i] if fresh else 0.0
-        square += (step - memory.step[i]) ** 2
-        memory.step[i] = step
+        square += (step - memory.step[0, i]) ** 2
+        memory.step[0, i] = step
+        step = accel[i] - last[1, i] if fresh else 0.0
+        shaken += (step - memory.step[1, i]) ** 2
+        memory.step[1, i] = step
         mean[0, i] = 0.5 * (gyro[i] + last[0, i]) if fresh else gyro[i]
         mean[1, i] = 0.5 * (accel[i] + last[1, i]) if fresh else accel[i]
         last[0, i], last[1, i] = gyro[i], accel[i]
     if (
         fresh
     ):  # what turns too fast for the sampling (an impact, vibration): a sixth of the second differences' variance
-        memory.seen[JERK] += min(dt / JERK_TIME, 1.0) * (square / 18.0 - memory.seen[JERK])
+        share = min(dt / JERK_TIME, 1.0)
+        memory.seen[JERK] += share * (square / 18.0 - memory.seen[JERK])
+        memory.seen[SHAKE] += share * (shaken / 18.0 - memory.seen[SHAKE])
     memory.clock[T_GOOD] = t
 
 
@@ -167,12 +173,14 @@ def predict(model: Any, carry: Any, work: Any, dt: float, k: int) -> Triple:
     psd = model.gyro_psd + model.rate_noise * rate2 + model.jerk_share * part * memory.seen[JERK]
     if not good or dt > MAX_STEP:
         psd += BLIND_PSD
+    force_psd = model.accel_psd + model.accel_noise2 * a2
+    force_psd += min(model.shake_share * part * memory.seen[SHAKE], model.shake_most)
     for _ in range(steps):
         if part > 0.0:
             f_n = advance(model, nominal, batch, work.C, w, f, part)
             note_force(memory.turned, f_n[0], f_n[1], part)
             batch.total[GYRO_VARIANCE] += psd * part
-            batch.total[FORCE_VARIANCE] += (model.accel_psd + model.accel_noise2 * a2) * part
+            batch.total[FORCE_VARIANCE] += force_psd * part
         if steps > 1:
             move(model, nominal.c, carry.P, batch, work)
             note_motion(work.tape, work, batch.F)

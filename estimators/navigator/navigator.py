@@ -14,7 +14,7 @@ from estimators.alignment import ALIGNING, NO_HEADING, STILL, Alignment, Stretch
 from estimators.errors import EstimationError, SampleError
 from estimators.jit import JIT, on_disk
 from estimators.native import loaded, passed
-from estimators.navigator.aids import UP, Z_BASELINE, Z_FIELD, Z_PLACE, Z_VELOCITY
+from estimators.navigator.aids import LEVEL, UP, Z_BASELINE, Z_FIELD, Z_PLACE, Z_VELOCITY
 from estimators.navigator.covariance import clear
 from estimators.navigator.history import History
 from estimators.navigator.layout import (
@@ -40,6 +40,7 @@ from estimators.navigator.layout import (
     PHI,
     POS,
     SEEN,
+    SHAKE,
     SLOW_TIME,
     T_LAST,
     TOTALS,
@@ -264,13 +265,15 @@ def parameters(settings: Mapping[str, Any], site: Site, sensors: SensorInfo) -> 
         rate_noise=2.0 * SCALE_TIME * (settings["scale_share"] * sensors.gyro_scale) ** 2,
         jerk_share=settings["jerk_share"],
         accel_psd=accel + settings["accel_noise"] ** 2 / 2.0,
+        shake_share=settings["shake_share"],
+        shake_most=settings["shake_most"] ** 2 / 2.0,
         accel_noise2=settings["accel_share"] ** 2 / 2.0,
         decay=decay,
         walk=walk,
         settled=settled,
         iron_step=sensors.mag_wander**2,
         still=np.array(limits(sensors)),
-        gnss_velocity=max(settings["velocity_share"] * sensors.gnss_vel, 1e-3),
+        gnss_velocity=max(settings["velocity_share"] * LEVEL * sensors.gnss_vel, 1e-3),
         gnss_position=max(white * position, 1e-3),
         gnss_time=settings["gnss_time"],
         mag_noise=max(sensors.mag_noise, 1e-9),
@@ -335,12 +338,12 @@ def start(
     turned = np.empty(turned_.SIZE)
     turned_.begin(turned)
     seen = np.full(SEEN, np.nan)
-    seen[[IS_STILL, WAS_STILL, COUNT, JERK]], seen[GOOD] = 0.0, 1.0
+    seen[[IS_STILL, WAS_STILL, COUNT, JERK, SHAKE]], seen[GOOD] = 0.0, 1.0
     memory = Memory(
         clock=np.full(CLOCKS, np.nan),
         last=np.full((2, 3), np.nan),
         mean=np.zeros((2, 3)),
-        step=np.zeros(3),
+        step=np.zeros((2, 3)),
         second=np.zeros((2, 6)),
         seen=seen,
         turned=turned,

@@ -109,6 +109,7 @@ def report(model: Shared, x: State, P: np.ndarray, memory: Any, answer: Estimate
             answer.vel_n[i], answer.lla[i] = x.vel_n[i], x.lla[i]
             for j in range(3):
                 answer.vel_cov[i, j], answer.pos_cov[i, j] = P[V + i, V + j], P[P_ + i, P_ + j]
+            answer.vel_cov[i, i] += memory.late2 * memory.acceleration_n[i] ** 2
             answer.pos_cov[i, i] += model.place_wander[i]
     answer.adaptation[0] = 1.0 if memory.is_still else 0.0
     answer.adaptation[1] = memory.field.inflation

@@ -83,6 +83,8 @@ class Kept(Record):
     ring: Ring  # the antenna's velocity and place, yaw, and what `turned` integrates
     turned: Turned  # the heading that motion shows
     q_nb: Vector4  # the attitude before the last row's measurements
+    acceleration_n: Vector3  # m/s2
+    late2: Number  # s2, variance of a delay of the fixes that has been learnt
     reopened: Flag  # the next step opens the covariance
 
 

@@ -24,7 +24,7 @@ from estimators.turned import note_correction, note_force
 
 
 def load(model: Shared, row: Sample, x: State, memory: Kept, u: Motion) -> None:
-    """Mean rate and force of the step, and their noise."""
+    """Mean rate and force of the step, and their noise; what a wrong heading has taught is forgotten before it."""
     w, f = row.gyro_b, row.accel_b
     good = True
     for i in range(3):
@@ -41,11 +41,18 @@ def load(model: Shared, row: Sample, x: State, memory: Kept, u: Motion) -> None:
             memory.rate_b[i], memory.accel_b[i] = w[i], f[i]
     if good:
         memory.t = row.t
+    if memory.reopened:
+        memory.gnss.late = math.nan  # a wrong heading looks like a delay
+        for i in range(3):
+            x.accel_bias[i] = 0.0
+            if model.states > SG:
+                x.gyro_scale[i] = x.hard_iron[i] = 0.0
     rate2 = 0.0
     for i in range(3):
         rate2 += (u.rate_b[i] - x.gyro_bias[i]) ** 2
     u.gyro_psd = model.gyro_psd + model.rate_noise * rate2 + model.jerk_share * dt * memory.jerky
     north, east, down = acceleration(model, x, u)
+    memory.acceleration_n[0], memory.acceleration_n[1], memory.acceleration_n[2] = north, east, down
     note_turned(x, memory)
     note_force(memory.turned.s, north, east, dt)
     u.accel_psd = model.accel_psd + model.accel_noise2 * (north * north + east * east + down * down)

@@ -84,6 +84,7 @@ def build(
     _configure_aids(settings, site, sensors, model)
     begin(memory.turned.s)
     memory.reopened = False
+    memory.late2 = 0.0
     memory.count = memory.jerky = memory.shaky = 0.0
     memory.good = True
     use_gnss = settings.aiding == _GNSS or settings.aiding == _BOTH

@@ -29,6 +29,8 @@ LATEST, LEAST_LATE = 0.6, 0.005  # s, the longest delay, and the least sigma of 
 MANOEUVRE = 1.0  # m/s2, the least acceleration that shows a delay
 SURELY_LATE = 0.08  # s: less may be a bias of the accelerometer, which a turn cannot tell from a delay
 UP = 1.5  # satellites are all above: vertical errors are larger by about that
+LEVEL = math.sqrt(3.0 / (2.0 + UP**2))  # of a data sheet's sigma, the mean over the axes: north and east
+JERK = 1.0  # m/s3, of a turn: a delay of a second shows like so much of a bias of the accelerometer
 
 SETTINGS = {
     "velocity_share": Setting(1.0, "of the receiver's velocity sigma", above=0.0),
@@ -47,6 +49,7 @@ class Parameters(Record):
     position: Number  # m, from fix to fix
     time2: Number  # s2, of the time of a fix
     late2: Number  # s2, prior variance of a delay that is not declared
+    unsure2: Number  # s2, of a delay that has been learnt
 
 
 class Memory(Record):
@@ -67,10 +70,11 @@ class Readings(Record):
 def configure(settings: Any, site: Place, sensors: Sheet, own: Parameters) -> None:
     """Set the parameters."""
     own.fitted = settings.aiding == 1 or settings.aiding == 3  # "gnss", "gnss+airspeed"
-    own.velocity = max(settings.velocity_share * sensors.gnss_vel, 1e-3)
+    own.velocity = max(settings.velocity_share * LEVEL * sensors.gnss_vel, 1e-3)
     own.position = max(settings.position_share * sensors.gnss_pos, 1e-3)
     own.time2 = settings.gnss_time**2
     own.late2 = settings.late_sigma**2
+    own.unsure2 = max(sensors.accel_bias / JERK, LEAST_LATE) ** 2
 
 
 def reads(states: int) -> tuple[int, int]:
@@ -91,6 +95,7 @@ def measure(
         kept.late, kept.late2 = 0.0, own.late2
     taken = kept.late if kept.late > SURELY_LATE else 0.0
     true_t = row.gnss_t - taken
+    memory.late2 = own.unsure2 if taken > 0.0 else 0.0
     if not recall(memory.ring, true_t, RING_ANGLES, then):
         return
     if own.late2 > 0.0:
@@ -128,7 +133,7 @@ def learn_delay(own: Parameters, memory: Kept, row: Sample, taken: float, then: 
     for i in range(3):
         wide = UP if i == 2 else 1.0
         a = (then[i] - before[i]) / SPAN
-        variance = 4.0 * (wide * own.velocity) ** 2  # the filter's own error with it
+        variance = 4.0 * (wide * own.velocity / LEVEL) ** 2  # the filter's own error with it
         if not plausible(row.vel_n[i], MAX_SPEED):
             return
         square += a * a
