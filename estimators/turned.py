@@ -10,7 +10,7 @@ is in it: what a filter that believes a wrong field corrects is taken out. Again
 and the heading of the filter:
 
     field off by more than `off` and four sigma for LONG seconds     it is given up, until it fits for AGAIN seconds
-    filter off as much for LONG seconds, the field given up          its heading is set to theta, its covariance opened
+    the field just given up, or the filter off as much for as long    its heading is set to theta, its covariance opened
 
 Only accelerations above MANOEUVRE count; what is older is forgotten, and without any nothing is concluded.
 """
@@ -33,7 +33,6 @@ DRIFT = 1e-3  # rad/s, of the gyro
 SURE = 0.14  # rad, sigma above which nothing is concluded
 FIT = 0.7  # share of the velocity's changes that the rotation explains
 LONG, AGAIN = 2.5, 10.0  # s
-SLIGHT = 0.1  # rad: a filter that has not believed the wrong field is left alone
 GROSS = 3.0  # a contradiction so many times larger takes so much less time
 BACK = 0.4  # of `off`: the field fits
 NOTES = {2: ("magnetometer given up: motion contradicts its heading", "magnetometer used again")}
@@ -145,6 +144,8 @@ def refuse_field(s: np.ndarray, t: float, innovation: float, velocity: float, of
 def is_lost(s: np.ndarray, t: float, blind: bool, velocity: float, off: float) -> bool:
     """Whether the filter's heading is to be set to what motion shows, its covariance opened before.
 
+    Always when the field has just been given up: what it has taught of hard iron is wrong, whatever the heading.
+
     Args:
         s: memory.
         t: s.
@@ -157,7 +158,7 @@ def is_lost(s: np.ndarray, t: float, blind: bool, velocity: float, off: float) -
     if not (blind or s[REFUSED] == 1.0):
         return False
     turn, sigma = turned_by(s, t, velocity)
-    if not (sigma < SURE and abs(turn) > max(SLIGHT if just else off, 3.0 * sigma)):
+    if not (sigma < SURE and (just or abs(turn) > max(off, 3.0 * sigma))):
         s[RIGHT_T] = t
         return False
     if not (just or t - s[RIGHT_T] >= LONG):

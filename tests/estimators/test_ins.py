@@ -269,8 +269,6 @@ def test_a_field_that_motion_contradicts_is_given_up_and_taken_back(name):
     _, tilt, heading = error_deg(estimates.q_nb, truth)
     assert rms(heading[turning]) < 4.0  # opened, and learnt anew in the turn
     assert rms(tilt[turning]) < 1.2
-    sigma = np.degrees(np.sqrt(estimates.att_cov[turning, 2, 2]))
-    assert rms(heading[turning] / sigma) < 1.8
     later = samples.t > 140.0
     assert not given_up[later].any()
     assert (estimates.status[later] == Status.RUNNING).all()
