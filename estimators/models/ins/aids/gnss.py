@@ -29,7 +29,6 @@ LATEST, LEAST_LATE = 0.6, 0.005  # s, the longest delay, and the least sigma of 
 MANOEUVRE = 1.0  # m/s2, the least acceleration that shows a delay
 SURELY_LATE = 0.08  # s: less may be a bias of the accelerometer, which a turn cannot tell from a delay
 UP = 1.5  # satellites are all above: vertical errors are larger by about that
-LEVEL = math.sqrt(3.0 / (2.0 + UP**2))  # of a data sheet's sigma, the mean over the axes: north and east
 JERK = 1.0  # m/s3, of a turn: a delay of a second shows like so much of a bias of the accelerometer
 
 SETTINGS = {
@@ -70,7 +69,7 @@ class Readings(Record):
 def configure(settings: Any, site: Place, sensors: Sheet, own: Parameters) -> None:
     """Set the parameters."""
     own.fitted = settings.aiding == 1 or settings.aiding == 3  # "gnss", "gnss+airspeed"
-    own.velocity = max(settings.velocity_share * LEVEL * sensors.gnss_vel, 1e-3)
+    own.velocity = max(settings.velocity_share * sensors.gnss_vel, 1e-3)
     own.position = max(settings.position_share * sensors.gnss_pos, 1e-3)
     own.time2 = settings.gnss_time**2
     own.late2 = settings.late_sigma**2
@@ -133,7 +132,7 @@ def learn_delay(own: Parameters, memory: Kept, row: Sample, taken: float, then: 
     for i in range(3):
         wide = UP if i == 2 else 1.0
         a = (then[i] - before[i]) / SPAN
-        variance = 4.0 * (wide * own.velocity / LEVEL) ** 2  # the filter's own error with it
+        variance = 4.0 * (wide * own.velocity) ** 2  # the filter's own error with it
         if not plausible(row.vel_n[i], MAX_SPEED):
             return
         square += a * a
