@@ -200,6 +200,40 @@ def test_an_outage_coasts_and_airspeed_carries_through():
     assert tilt["gnss"] < 3.0
 
 
+@pytest.mark.parametrize("size", [4.0, 40.0])
+def test_fixes_that_jump_take_the_velocity_along_but_not_the_attitude(size):
+    """A receiver is off by `size` m/s for 15 s in a turn, and right again."""
+    samples, q, _ = coordinated_turn()
+    wrong = (samples.t >= 60.0) & (samples.t < 75.0)
+    vel_n = samples.vel_n + np.where(wrong, size, 0.0)[:, None] * [1.0, -1.0, 0.0]
+    found = create("ins21", site=SITE, sensors=SENSORS).process(dataclasses.replace(samples, vel_n=vel_n))
+    _, tilt, heading = error_deg(found.q_nb, q)
+    after = samples.t > 59.0
+    assert tilt[after].max() < 0.5
+    assert np.abs(heading[after]).max() < 1.0
+    there = (samples.t > 61.0) & wrong
+    assert found.vel_n[there, 0] == pytest.approx(vel_n[there, 0], abs=1.5)
+
+
+def test_a_gap_of_the_imu_opens_what_it_has_missed():
+    """The bank changes by 12 deg while nothing is measured; the navigator knows, and GNSS brings it back."""
+    n = 7000
+    t = np.arange(n) / 100.0
+    bank = np.where(t > 45.4, 0.5236, 0.3142) * np.clip((t - 41.0) / 2.0, 0.0, 1.0)
+    along = 23.0 * np.clip((t - 22.0) / 15.0, 0.0, 1.0)
+    yaw = 0.5 + np.cumsum(np.where(along > 1.0, 9.805 * np.tan(bank) / np.maximum(along, 1.0), 0.0)) / 100.0
+    vel = np.stack([along * np.cos(yaw), along * np.sin(yaw), 0.0 * t], -1)
+    new = np.arange(n) % 20 == 0
+    samples, q = flight(bank, 0.0 * t, yaw, vel, vel_n=vel, gnss_t=t, gnss_new=new)
+    kept = (t < 45.0) | (t >= 45.8)
+    found = create("ins21", site=SITE, sensors=SENSORS).process(samples[kept])
+    _, tilt, _ = error_deg(found.q_nb, q[kept])
+    first = int(np.searchsorted(t[kept], 45.8))
+    assert tilt[first] > 8.0  # nobody could have measured it
+    assert np.degrees(np.sqrt(np.diag(found.att_cov[first]))).min() > 3.0
+    assert tilt[t[kept] > 53.0].max() < 1.0
+
+
 def test_dual_antenna_heading_is_used():
     samples, truth = still(60.0)
     heading = np.full(len(samples), 1.0)

@@ -111,6 +111,8 @@ def report(model: Shared, x: State, P: np.ndarray, memory: Any, answer: Estimate
                 answer.vel_cov[i, j], answer.pos_cov[i, j] = P[V + i, V + j], P[P_ + i, P_ + j]
             answer.vel_cov[i, i] += memory.late2 * memory.acceleration_n[i] ** 2
             answer.pos_cov[i, i] += model.place_wander[i]
+    for i in range(3):
+        memory.gnss.vel2[i], memory.gnss.place2[i] = P[V + i, V + i], P[P_ + i, P_ + i]
     answer.adaptation[0] = 1.0 if memory.is_still else 0.0
     answer.adaptation[1] = memory.field.inflation
     answer.adaptation[2] = memory.turned.s[REFUSED]

@@ -98,3 +98,4 @@ class Motion(Record):
     accel_psd: Number  # m2/s3
     reopened: Number  # 1: the covariance is opened
     changed: Annotated[np.ndarray, shaped(6)]  # variances by which the biases have changed
+    opened2: Annotated[np.ndarray, shaped(6)]  # m2/s2, m2: variances by which velocity and place are opened

@@ -22,6 +22,8 @@ from estimators.rotations import (
 )
 from estimators.turned import note_correction, note_force
 
+MISSING = 0.25  # s without the IMU after which the last rate and force say little of what was missed
+
 
 def load(model: Shared, row: Sample, x: State, memory: Kept, u: Motion) -> None:
     """Mean rate and force of the step, and their noise; what a wrong heading has taught is forgotten before it."""
@@ -30,6 +32,7 @@ def load(model: Shared, row: Sample, x: State, memory: Kept, u: Motion) -> None:
     for i in range(3):
         good &= plausible(w[i], MAX_RATE) and plausible(f[i], MAX_FORCE)
     memory.good = good
+    before = memory.t
     fresh = math.isfinite(memory.t) and row.t - memory.t < 0.1
     dt = row.t - memory.t if fresh else 0.0
     if good:
@@ -60,8 +63,11 @@ def load(model: Shared, row: Sample, x: State, memory: Kept, u: Motion) -> None:
     u.reopened, memory.reopened = (1.0 if memory.reopened else 0.0), False
     for i in range(6):
         u.changed[i] = 0.0
-    if not good:
-        u.gyro_psd += 0.01  # 0.1 rad/s/sqrt(Hz): whatever happens meanwhile
+        u.opened2[i] = memory.gnss.opens2[i]
+        memory.gnss.opens2[i] = 0.0
+    if not good or row.t - before > MISSING:  # whatever happens meanwhile: 0.1 rad/s/sqrt(Hz), 2 m/s2/sqrt(Hz)
+        u.gyro_psd += 0.01
+        u.accel_psd += 4.0
     if good:
         watch_second(model, row, x, memory, u)
 
@@ -137,6 +143,8 @@ def process_noise(model: Shared, x: State, u: Motion, dt: float, P: np.ndarray) 
         P[PHI + i, PHI + i] += u.gyro_psd * dt
         P[V + i, V + i] += u.accel_psd * dt
         P[P_ + i, P_ + i] += model.place_walk[i] * dt
+    for i in range(6):
+        P[V + i, V + i] += u.opened2[i]
     for i in range(9, model.states):
         P[i, i] += model.walks[i - 9] * dt
     if u.reopened != 0.0:

@@ -90,6 +90,8 @@ def build(
     use_gnss = settings.aiding == _GNSS or settings.aiding == _BOTH
     velocity = alignment.vel_n if use_gnss else alignment.air_n
     known, placed = True, use_gnss
+    for i in range(6):
+        memory.gnss.off2[i] = memory.gnss.opens2[i] = 0.0
     for i in range(3):
         memory.step_b[i] = memory.shock_b[i] = 0.0
         known &= math.isfinite(velocity[i])

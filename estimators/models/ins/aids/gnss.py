@@ -4,10 +4,15 @@ A delay that the stamps do not know of is learnt beside the filter. A velocity t
 off by -a late, a the acceleration; the delay is the scalar estimate of that from each fix, its variance bounded below
 so that it goes on learning while the filter's own velocity gives way to the same error. It is taken out from
 `SURELY_LATE` on.
+
+A velocity or a place that is off by more than `JUMP` sigma, prediction and fix together, is no error of the attitude:
+it is a receiver that is wrong, has been, or is right again after the IMU has missed something. That fix is left out,
+and before the next the velocity, or the place, becomes as uncertain as it was off: it goes where the fixes are and
+takes little of the attitude along. Fixes from before that step are not compared with what came after it.
 """
 
 import math
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -15,7 +20,7 @@ from estimators.earth import apart
 from estimators.jit import inner
 from estimators.models.ins.layout import BG, P_, RING_ANGLES, Kept, Motion, Shared, State, V
 from estimators.models.ins.mechanisation import acceleration
-from estimators.native import Flag, Number, Record, Vector3, local
+from estimators.native import Flag, Number, Record, Vector3, local, shaped
 from estimators.past import WIDTH, recall
 from estimators.plausible import MAX_SPEED, on_earth, plausible
 from estimators.records import Place, Sample, Sheet
@@ -30,6 +35,7 @@ MANOEUVRE = 1.0  # m/s2, the least acceleration that shows a delay
 SURELY_LATE = 0.08  # s: less may be a bias of the accelerometer, which a turn cannot tell from a delay
 UP = 1.5  # satellites are all above: vertical errors are larger by about that
 JERK = 1.0  # m/s3, of a turn: a delay of a second shows like so much of a bias of the accelerometer
+JUMP = 6.0  # sigma
 
 SETTINGS = {
     "velocity_share": Setting(1.0, "of the receiver's velocity sigma", above=0.0),
@@ -38,6 +44,9 @@ SETTINGS = {
     "late_sigma": Setting(0.2, "s, of a fix's delay that is not declared: learnt; 0: there is none", minimum=0.0),
     "gnss_time": Setting(0.02, "s, error of the time of a fix: noise while accelerating", minimum=0.0),
 }
+
+
+Offsets = Annotated[np.ndarray, shaped(6)]
 
 
 class Parameters(Record):
@@ -52,10 +61,15 @@ class Parameters(Record):
 
 
 class Memory(Record):
-    """The delay that is not declared; NaN: no fix yet."""
+    """The delay that is not declared, and jumps of the fixes; NaN: no fix yet, no jump yet."""
 
     late: Number  # s
     late2: Number  # s2, its variance
+    vel2: Vector3  # m2/s2, variance of the velocity after the last row
+    place2: Vector3  # m2, of the place
+    off2: Offsets  # squares of what the last fix was off, of velocity and place that jumped; 0: it did not
+    opens2: Offsets  # the same, for the next step alone
+    moved_t: Number  # s, when the state was last moved to fixes that had jumped
 
 
 class Readings(Record):
@@ -95,10 +109,8 @@ def measure(
     taken = kept.late if kept.late > SURELY_LATE else 0.0
     true_t = row.gnss_t - taken
     memory.late2 = own.unsure2 if taken > 0.0 else 0.0
-    if not recall(memory.ring, true_t, RING_ANGLES, then):
+    if true_t < kept.moved_t or not recall(memory.ring, true_t, RING_ANGLES, then):
         return
-    if own.late2 > 0.0:
-        learn_delay(own, memory, row, taken, then, kept)
     north, east, down = acceleration(model, x, u)
     accelerating2 = north * north + east * east + down * down
     apart(row.lla, then[3:6], there)
@@ -114,12 +126,48 @@ def measure(
         known = plausible(speed, MAX_SPEED)
         used.vel_n[i], used.place_n[i] = known, place and plausible(there[i], 1e6)
         complete &= known
+    agreed = agrees(row, then, there, accelerating2, kept, variance, used)
+    if agreed and own.late2 > 0.0:
+        learn_delay(own, memory, row, taken, then, kept)
     memory.fixed = used.vel_n[0] != 0
     if complete:
-        note_fix(memory.turned.s, true_t, row.vel_n[0], row.vel_n[1], then[7], then[8])
+        if agreed:
+            note_fix(memory.turned.s, true_t, row.vel_n[0], row.vel_n[1], then[7], then[8])
         v = row.vel_n
         memory.speed = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
         memory.aid_t = memory.fix_t = row.t
+
+
+@inner
+def agrees(
+    row: Sample, then: np.ndarray, there: np.ndarray, accelerating2: float, kept: Memory, variance: Readings, used: Any
+) -> bool:  # fmt: skip
+    """Leave out velocity or place that jumped; the step after this row opens them, and the next fix is taken."""
+    opened, speed2 = False, 0.0
+    for i in range(6):
+        opened |= kept.off2[i] > 0.0
+        kept.off2[i] = 0.0
+    if opened:
+        kept.moved_t = row.t
+        return False
+    for i in range(3):
+        speed2 += then[i] * then[i]
+    unknown2 = kept.late2 - min(LEAST_LATE**2, kept.late2)  # of the delay, while it is being learnt
+    speed_jumps = place_jumps = False
+    for i in range(3):
+        off, offset = row.vel_n[i] - then[i], there[i]
+        within = kept.vel2[i] + variance.vel_n[i] + unknown2 * accelerating2
+        speed_jumps |= used.vel_n[i] != 0 and off * off > JUMP**2 * within
+        within = kept.place2[i] + variance.place_n[i] + unknown2 * speed2
+        place_jumps |= used.place_n[i] != 0 and offset * offset > JUMP**2 * within
+    for i in range(3):
+        if speed_jumps:
+            kept.off2[i] = kept.opens2[i] = (row.vel_n[i] - then[i]) ** 2
+            used.vel_n[i] = False
+        if place_jumps:
+            kept.off2[3 + i] = kept.opens2[3 + i] = there[i] ** 2
+            used.place_n[i] = False
+    return not (speed_jumps or place_jumps)
 
 
 @inner
