@@ -71,6 +71,11 @@ class Unit:
             raise Refused(f"is no FMU: {' '.join(str(error).split())}") from None
         if self._description.coSimulation is None:
             raise Refused("is an FMU of model-exchange kind; export it for co-simulation")
+        machines = [name for name in fmpy.supported_platforms(path) if name != "c-code"]
+        if fmpy.platform_tuple == "x86_64-linux" and fmpy.platform not in machines:  # FMPy lists no other Linux
+            raise Refused(
+                f"has code for {', '.join(machines) or 'no machine'}, not for {fmpy.platform}; export it for that"
+            )
         self._folder = tempfile.mkdtemp(prefix="ahrs_sim-fmu-")
         fmpy.extract(path, self._folder)
         self._variables = {v.name: v for v in self._description.modelVariables}

@@ -192,5 +192,10 @@ def test_other_mistakes_are_one_line_too(tmp_path: Path) -> None:
     (tmp_path / "text.fmu").write_text("no archive")
     with pytest.raises(InputError, match="is no FMU"):
         FmuEstimator(tmp_path / "text.fmu", site=SITE, sensors=SENSORS)
+    with zipfile.ZipFile(unit) as given, zipfile.ZipFile(tmp_path / "windows.fmu", "w") as made:
+        made.writestr("modelDescription.xml", given.read("modelDescription.xml"))
+        made.writestr("binaries/win64/unit.dll", b"")
+    with pytest.raises(InputError, match=r"has code for win64, not for linux64; export it for that$"):
+        FmuEstimator(tmp_path / "windows.fmu", site=SITE, sensors=SENSORS)
     with pytest.raises(InputError, match="no such file"):
         plugins.located("none.fmu", tmp_path)
