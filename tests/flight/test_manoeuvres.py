@@ -118,6 +118,20 @@ def test_a_coordinated_turn_has_no_sideslip_and_needs_more_lift():
     assert np.linalg.norm(force, axis=1).mean() == pytest.approx(9.81 / math.cos(math.radians(45.0)), rel=0.03)
 
 
+def test_calibrate_is_two_minutes_in_place_and_ends_as_it_began():
+    flown = fly({"do": "calibrate"}, {"do": "straight", "for_s": 5.0})
+    assert flown.error is None
+    rows = flown.during(1)
+    assert flown.truth.t[rows][-1] == pytest.approx(120.0, abs=2.0)
+    assert np.abs(flown.truth.height_agl - 120.0).max() < 6.0
+    assert flown.roll[rows].max() == pytest.approx(60.0, abs=2.0)
+    assert flown.roll[rows].min() == pytest.approx(-60.0, abs=2.0)
+    assert flown.truth.airspeed[rows].min() < 17.5
+    assert flown.truth.airspeed[-1] == pytest.approx(20.0, abs=0.7)
+    gentle = fly({"do": "calibrate", "bank_deg": 30.0})
+    assert np.abs(gentle.roll).max() < 33.0
+
+
 def test_figure_eight_goes_both_ways_and_returns():
     flown = fly({"do": "figure_eight", "bank_deg": 45.0})
     rows = flown.during(1)

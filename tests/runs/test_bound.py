@@ -116,3 +116,17 @@ def test_command(capsys):
     assert "did you mean 'chr'" in capsys.readouterr().err
     with pytest.raises(InputError, match="no such suite"):
         bound.make(scenario.load("takeoff"), "none")
+
+
+def test_calibrate_shows_more_than_turns_of_as_long() -> None:
+    """Bound of tilt and heading on a plain flight afterwards; the goal's 0.3 deg of tilt is below what any shows."""
+    after = [{"do": "turn", "bank_deg": 30.0, "for_s": 20.0}, {"do": "turn", "bank_deg": -30.0, "for_s": 20.0}]
+    turns = [{"do": "turn", "bank_deg": bank, "for_s": 30.0} for bank in (30.0, -30.0, 30.0, -30.0)]
+    found = {}
+    for name, steps in (("turns", turns), ("calibrate", [{"do": "calibrate"}])):
+        data = {**scenario.load("circuit").data, "step": [*steps, *after], "estimator": {}}
+        data |= {"suite": {"chr": {"grade": "chr_6dm"}}, "start": {"on_ground": False, "height_m": 120.0}}
+        bounds = bound.make(scenario.parse(data, name, name), "chr", aids={"it": FIX})
+        found[name] = np.degrees(bounds["it"].rms(low=122.0))
+    assert np.all(found["calibrate"] < 0.97 * found["turns"])
+    assert found["calibrate"] == pytest.approx([0.36, 0.31], abs=0.04)

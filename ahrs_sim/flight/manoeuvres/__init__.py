@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.flight.manoeuvres.base import Failure, Manoeuvre
 from ahrs_sim.flight.manoeuvres.ordinary import Climb, Descend, FigureEight, HandOver, Orbit, Set, Straight, Turn, Wait
-from ahrs_sim.flight.manoeuvres.route import Goto, Hold, Random, Survey
+from ahrs_sim.flight.manoeuvres.route import Calibrate, Goto, Hold, Random, Survey
 from ahrs_sim.flight.manoeuvres.runway import Approach, Land, RunUp, Takeoff
 from ahrs_sim.flight.manoeuvres.violent import Doublet, Loop, PullUp, Roll, WindupTurn
 from ahrs_sim.scenario import seeds
@@ -25,7 +25,7 @@ MANOEUVRES: dict[str, type[Manoeuvre]] = {
     cls.name: cls
     for cls in (
         Wait, RunUp, Takeoff, Climb, Descend, Straight, Turn, Orbit, FigureEight, WindupTurn, Doublet, PullUp, Loop,
-        Roll, Approach, Land, Goto, Hold, Survey, Random, HandOver, Set,
+        Roll, Approach, Land, Goto, Hold, Survey, Random, Calibrate, HandOver, Set,
     )
 }  # fmt: skip
 """Every manoeuvre by the name a scenario uses."""

@@ -1,4 +1,4 @@
-"""Along a route: to waypoints, round a racetrack, over survey lines, and at random."""
+"""Along a route: to waypoints, round a racetrack, over survey lines, at random, and what calibrates sensors."""
 
 # ruff: noqa: D102  (`Manoeuvre` documents the methods which every class below defines)
 
@@ -8,6 +8,7 @@ from typing import ClassVar, TypeVar
 from ahrs_sim.flight.autopilot import Autopilot, State, wrap
 from ahrs_sim.flight.manoeuvres.base import Failure, G, Manoeuvre, bank_for, optional
 from ahrs_sim.flight.manoeuvres.ordinary import Climb, Straight, Turn
+from ahrs_sim.flight.manoeuvres.violent import Doublet
 from ahrs_sim.scenario.table import Table
 
 Kind = TypeVar("Kind", bound=Manoeuvre)
@@ -354,3 +355,65 @@ class Random(Manoeuvre):
 
     def progress(self, state: State) -> str:
         return f"{self.part.name if self.part else 'nothing'}, at {state.height:.0f} m"
+
+
+class Calibrate(Manoeuvre):
+    """Two minutes in the air that show a navigator best what its sensors' errors are.
+
+    Turns up to `bank_deg` (60), slow flight and doublets in the order that makes the Cramer-Rao bound of a flight
+    afterwards least (`benchmarks/calibration_flight.py`), each ended in level flight. `ins-cal` learns from it.
+    """
+
+    name = "calibrate"
+
+    PARTS: ClassVar[tuple[str | float, ...]] = (
+        -60.0, 60.0, "slow", "slow", 60.0, "slow", -60.0, *7 * ("rudder",),
+    )  # fmt: skip
+    """Banks (deg) of turns of 10 s, "slow" and "fast" flight of 8 s, surfaces of doublets."""
+
+    def read(self, table: Table) -> None:
+        self.bank = math.radians(table.number("bank_deg", 60.0, minimum=10.0, maximum=75.0))
+        made = [self.made(part, table.where) for part in self.PARTS]
+        level = Table({"for_s": 2.0}, table.where)
+        self.parts: list[Manoeuvre] = [one for part in made for one in (part, Straight(level))]
+
+    def made(self, part: str | float, where: str) -> Manoeuvre:
+        """Make a part of the sequence."""
+        if isinstance(part, float):
+            bank = math.copysign(min(abs(part), math.degrees(self.bank)), part)
+            return Turn(Table({"bank_deg": bank, "for_s": 10.0}, where))
+        if part in ("slow", "fast"):
+            return Straight(Table({"for_s": 8.0}, where))
+        return Doublet(Table({"surface": part, "size": 0.5}, where))
+
+    def expected(self) -> float:
+        return sum(part.expected() for part in self.parts)
+
+    def steepest(self, airspeed: float) -> float:
+        return min(self.bank, math.radians(max(abs(part) for part in self.PARTS if isinstance(part, float))))
+
+    def begin(self, ap: Autopilot, state: State) -> None:
+        self.take_airspeed(ap)
+        self.speed = ap.airspeed_goal
+        self.number = -1
+        self.next(ap, state)
+
+    def next(self, ap: Autopilot, state: State) -> None:
+        """Begin the next part, at its own speed."""
+        self.number += 1
+        name = self.PARTS[self.number // 2] if self.number % 2 == 0 else ""
+        slow, fast = ap.speeds
+        ap.airspeed_goal = slow if name == "slow" else fast if name == "fast" else self.speed
+        self.parts[self.number].begin(ap, state)
+
+    def step(self, ap: Autopilot, state: State) -> bool:
+        if not self.parts[self.number].step(ap, state):
+            return False
+        if self.number == len(self.parts) - 1:
+            return True
+        self.next(ap, state)
+        return False
+
+    def progress(self, state: State) -> str:
+        part = self.parts[self.number]
+        return f"part {self.number // 2 + 1} of {len(self.PARTS)}, {part.name}: {part.progress(state)}"
