@@ -518,11 +518,16 @@ def test_each_unusable_file_gives_one_line(tmp_path: Path, moving: Motion) -> No
     sqlite3.connect(tmp_path / "empty.db3").close()
     (tmp_path / "noise.db3").write_bytes(b"no database" * 100)
     (tmp_path / "noise.ulg").write_bytes(b"no ulog" * 100)
+    for folder, file in (("hollow", ""), ("tables", "a.csv"), ("lost", "good.mcap")):
+        (tmp_path / folder).mkdir()
+        if file:
+            (tmp_path / folder / file).write_bytes(data)
     (tmp_path / "noise.csv").write_bytes(b"\xff\xfe\x00\x01" * 100)
     words = {
         "empty.mcap": "empty file", "cut.mcap": "unfinished or cut off", "noise.mcap": "not an MCAP log",
         "packed.mcap": "compression 'xxxx'", "schema.mcap": "'flatbuf' schema",
-        "silent.mcap": "no messages", "other.mcap": "no IMU in it", "gone.mcap": "cannot be read",
+        "silent.mcap": "no messages", "other.mcap": "it has /t (Temperature)", "gone.mcap": "cannot be read",
+        "hollow": "no recording in it", "tables": "needs a --map", "lost": "name the file in it, good.mcap",
         "empty.db3": "no ROS 2 bag", "noise.db3": "no ROS 2 bag", "gone.db3": "cannot be read",
         "noise.ulg": "no ULog", "gone.ulg": "cannot be read", "noise.csv": "CSV", "gone.csv": "cannot be read",
     }  # fmt: skip

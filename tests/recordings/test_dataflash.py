@@ -95,6 +95,33 @@ def test_logs_of_milliseconds_have_the_clock_of_the_receiver_beside_their_own(tm
     assert [velocity[a] for a in "xyz"] == pytest.approx([0.0, 5.0, -2.0], abs=1e-9)
 
 
+def test_raw_samples_are_pointed_to_and_read(tmp_path: Path, moving: Motion) -> None:
+    raw = {
+        "IMU": MESSAGES["IMU"],
+        "ACC": (20, "QBQfff", "TimeUS,I,SampleUS,AccX,AccY,AccZ", "s#sooo", "F-F000"),
+        "GYR": (21, "QBQfff", "TimeUS,I,SampleUS,GyrX,GyrY,GyrZ", "s#sEEE", "F-F000"),
+    }
+    us, slow = np.rint(moving.t * 1e6) + 5e6, slice(None, None, 4)
+    gyro = dict(zip(("GyrX", "GyrY", "GyrZ"), moving.gyro_b.T, strict=True))
+    accel = dict(zip(("AccX", "AccY", "AccZ"), moving.accel_b.T, strict=True))
+    groups = [
+        rows("IMU", raw, TimeUS=us[slow], **{k: v[slow] for k, v in (gyro | accel).items()}),
+        rows("GYR", raw, TimeUS=us + 900, SampleUS=us, **gyro),
+        rows("ACC", raw, TimeUS=us + 900, SampleUS=us, **accel),
+    ]
+    (tmp_path / "a.bin").write_bytes(assembled(raw, groups))
+    s, notes = samples_of(tmp_path / "a.bin")
+    assert len(s) == len(moving.t[slow])
+    assert 'GYR and ACC have 4 times the rate of IMU: [topics] imu = "GYR", accel = "ACC"' in notes
+    (tmp_path / "map.toml").write_text('[topics]\nimu = "GYR"\naccel = "ACC"\n')
+    with open_bag(tmp_path / "a.bin", map_file=tmp_path / "map.toml") as bag:
+        assembler = Assembler()
+        s = Samples.concatenate([assembler.assemble(block["bag"]) for block in bag.blocks()])
+    np.testing.assert_allclose(s.t, moving.t, atol=1e-9)
+    np.testing.assert_allclose(s.gyro_b, moving.gyro_b, atol=1e-6)
+    np.testing.assert_allclose(s.accel_b, moving.accel_b, atol=1e-5)
+
+
 def test_what_two_starts_of_the_board_wrote_does_not_meet(tmp_path: Path, moving: Motion) -> None:
     """The longer one has no fixes: those of the other, whose clock runs through the same times, are not its own."""
     columns = dict(zip(("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),

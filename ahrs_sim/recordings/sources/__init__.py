@@ -34,6 +34,8 @@ def open_source(path: Path, mapping: Table) -> Source:
         InputError: not there, cannot be read, or of no kind known here.
     """
     kind = _kind(path, mapping)
+    if kind == "db3" and path.is_dir() and not (path / "metadata.yaml").is_file():
+        raise InputError(_no_bag(path))
     if kind == "mcap":
         from ahrs_sim.recordings.sources.mcap import Mcap
 
@@ -55,6 +57,17 @@ def open_source(path: Path, mapping: Table) -> Source:
 
         return Csv(path, mapping.table("csv"))
     raise InputError(f"{path}: not a recording known here; can be read: {READS}")
+
+
+def _no_bag(folder: Path) -> str:
+    """Say what to do with a folder that is no ROS 2 bag."""
+    there = sorted(p for p in folder.iterdir() if p.is_file())
+    one = next((p.name for p in there if p.suffix in (".mcap", ".db3", ".bag", ".ulg", ".bin", ".BIN")), "")
+    if one:
+        return f"{folder}: a folder without metadata.yaml; name the file in it, {one}"
+    if any(p.suffix in (".csv", ".txt") for p in there):
+        return f"{folder}: a folder of tables needs a --map with [csv], or preset:NAME (ahrs-sim list maps)"
+    return f"{folder}: a folder with no recording in it; can be read: {READS}"
 
 
 def looks_like_text(path: Path) -> bool:

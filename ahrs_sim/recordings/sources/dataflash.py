@@ -214,6 +214,11 @@ class DataFlash(BinaryLog):
                 f"{path}: DataFlash without IMU, ATT or GPS messages (it has {', '.join(self._log.names)})"
             )
         super().__init__(path, topics, ATTITUDES)
+        if {"IMU", "GYR", "ACC"} <= topics.keys() and len(topics["GYR"].ns) > 2 * len(topics["IMU"].ns):
+            ratio = len(topics["GYR"].ns) / max(len(topics["IMU"].ns), 1)
+            self.notes.append(
+                f'GYR and ACC have {ratio:.0f} times the rate of IMU: [topics] imu = "GYR", accel = "ACC"'
+            )
         if starts > 1:
             self.notes.append(
                 f"the board's clock begins anew: of the {starts} parts the longest is used, {lost} messages of the "
