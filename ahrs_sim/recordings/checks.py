@@ -20,7 +20,7 @@ from ahrs_sim.recordings.calibration import Turns, turns
 from ahrs_sim.recordings.inertial import Track
 from ahrs_sim.recordings.survey import BIN_S, Survey
 from ahrs_sim.scenario import Component
-from ahrs_sim.world import magnetic
+from ahrs_sim.world import magnetic, wgs84
 from ahrs_sim.world.gravity import STANDARD as G
 
 GYRO_RANGE = 70.0  # rad/s, 4000 deg/s: no gyro of a vehicle measures more
@@ -30,6 +30,7 @@ _MISFIT = 1.0  # m/s: IMU and GNSS velocity agree to less than this
 _DIP = math.radians(20.0)
 _COURSE = math.radians(8.0)
 _TURN_BINS = 5
+_LEG_S, _FEWEST_LEGS, _FASTEST = 4.0, 10, 350.0  # s; m/s
 _AIDS = {"gnss": "GNSS velocity", "airspeed": "airspeed"}
 
 
@@ -55,11 +56,12 @@ def suspicions(s: Survey, assumed: Assumed, track: Track | None) -> list[str]:
     """
     found = _accelerometer(s, assumed.body) or _at_rest(s, assumed.body)
     found += _bias(s)
-    units = _gyro_unit(s) + _field_unit(s, assumed.field_n)
+    velocity = _velocity(s)
+    units = _gyro_unit(s) + _field_unit(s, assumed.field_n) + velocity
     found += units
     if not found:
         found += _orientation(s, assumed, track) or _dip(s, assumed)
-    if track is not None and track.misfit < _MISFIT:
+    if track is not None and track.misfit < _MISFIT and not velocity:
         if track.delay_sigma < _LATE and abs(track.delay) > _LATE + 3.0 * track.delay_sigma:
             found.append(late_line(track))
         if not found:
@@ -209,6 +211,57 @@ def signed_axes() -> Iterator[tuple[str, np.ndarray]]:
             for row, (column, sign) in enumerate(zip(order, signs, strict=True)):
                 matrix[row, column] = sign
             yield " ".join(("" if x > 0 else "-") + "xyz"[k] for k, x in zip(order, signs, strict=True)), matrix
+
+
+# ----------------------------------------------------------------------------------------------- velocity
+
+
+def _velocity(s: Survey) -> list[str]:
+    """Unit and axes of the GNSS velocity (n, 3) NED, by the way between its own fixes."""
+    way, run = _legs(s)
+    if len(way) < _FEWEST_LEGS or np.sum(np.linalg.norm(way, axis=1)) < 20.0 * _LEG_S:
+        return []
+
+    def misfit(velocity: np.ndarray) -> float:
+        return float(np.sum((way - velocity) ** 2) / np.sum(way**2))
+
+    now = misfit(run)
+    if now < 0.3 or not np.any(run):
+        return []
+    exchanged = run[:, ::-1]
+    if misfit(exchanged) < min(0.1, 0.2 * now):
+        return [
+            "GNSS velocity has north and east exchanged, by the way between the fixes: NED for ENU? ([frames] world)"
+        ]
+    for name, size in (("km/h", 3.6), ("kt", 3600 / 1852), ("cm/s", 100.0), ("ft/s", 1 / 0.3048)):
+        if misfit(run / size) < min(0.02, 0.1 * now):
+            return [f"GNSS velocity is {size:.3g} times the way between the fixes: its unit is {name}, not m/s"]
+    speeds = [np.linalg.norm(v, axis=1) for v in (way, run)]
+    if np.sum((speeds[0] - speeds[1]) ** 2) < 0.05 * np.sum(speeds[0] ** 2):
+        return ["GNSS velocity has the speed of the way between the fixes, not its direction: in the vehicle's axes?"]
+    return []
+
+
+def _legs(s: Survey) -> tuple[np.ndarray, np.ndarray]:
+    """North and east (n, 2) m from fix to fix a few seconds apart, and the same by the velocity."""
+    nothing = np.empty((0, 2))
+    if len(s.t_fix) < 2 or len(s.t_velocity) < 2:
+        return nothing, nothing
+    at = np.arange(max(s.t_fix[0], s.t_velocity[0]), min(s.t_fix[-1], s.t_velocity[-1]), _LEG_S)
+    if len(at) < 2:
+        return nothing, nothing
+    meridian, prime = (float(r) for r in wgs84.radii(s.fixes[0, 0]))
+    metres = np.array([meridian, prime * math.cos(s.fixes[0, 0])])
+    north_east = (s.fixes[:, :2] - s.fixes[0, :2]) * metres
+    gone = np.cumsum(
+        np.r_[np.zeros((1, 2)), 0.5 * np.diff(s.t_velocity)[:, None] * (s.vel_n[1:, :2] + s.vel_n[:-1, :2])], axis=0
+    )
+    way, run = (
+        np.diff(np.column_stack([np.interp(at, t, column) for column in values.T]), axis=0)
+        for t, values in ((s.t_fix, north_east), (s.t_velocity, gone))
+    )
+    near = np.linalg.norm(way, axis=1) < _FASTEST * _LEG_S  # single fixes may be anywhere
+    return way[near], run[near]
 
 
 # ----------------------------------------------------------------------------------------------- field

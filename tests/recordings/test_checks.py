@@ -166,6 +166,32 @@ def test_in_flight(planted: Planted, words: str) -> None:
     assert words in found[0]
 
 
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        (lambda v: v[:, [1, 0, 2]] * [1, 1, -1], "has north and east exchanged"),
+        (lambda v: 3.6 * v, "is 3.6 times the way between the fixes: its unit is km/h"),
+        (lambda v: v * 3600 / 1852, "its unit is kt"),
+        (lambda v: np.column_stack([np.hypot(v[:, 0], v[:, 1]), np.zeros(len(v)), v[:, 2]]), "in the vehicle's axes?"),
+    ],
+)
+def test_velocity_by_the_way_between_fixes(changed: Any, words: str) -> None:
+    s = flown(Path(3))
+    (line,) = lines(dataclasses.replace(s, vel_n=changed(s.vel_n)))
+    assert words in line
+
+
+def test_velocity_is_not_blamed_in_a_hover_nor_for_a_delay_or_single_fixes() -> None:
+    rng = np.random.default_rng(2)
+    s = flown(Path(3), Planted(gnss_delay=0.4))
+    assert checks._velocity(s) == []
+    wild = np.where(rng.random((len(s.fixes), 1)) < 0.02, [1e-2, 1e-2, 0.0], 0.0)
+    assert checks._velocity(dataclasses.replace(s, fixes=s.fixes + wild)) == []
+    hover = s.fixes[0] + rng.normal(0, 1.5e-7, s.fixes.shape) * [1.0, 1.0, 0.0]
+    still = dataclasses.replace(s, fixes=hover, vel_n=rng.normal(0, 0.1, s.vel_n.shape))
+    assert checks._velocity(still) == []
+
+
 def test_sensors_that_are_not_there() -> None:
     blocks = measured(Path(1), Planted(), duration=40.0)
     seen = survey.look([blocks])
