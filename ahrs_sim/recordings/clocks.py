@@ -96,20 +96,25 @@ def examine(
     if source.one_clock:
         return clocks
     times = _read(source, chosen)
+    coarse = [k for k, (header, log) in times.items() if stated is None and _coarse(header, log)]
     for kind, (header, log) in times.items():
-        clocks.by_kind[kind] = Clock(unset=True) if not len(header) else _steps(kind, header, log, clocks)
+        unset = not len(header) or kind in coarse
+        clocks.by_kind[kind] = Clock(unset=True) if unset else _steps(kind, header, log, clocks)
     _share(clocks)
     _describe(clocks, source.epoch_ns)
     for kind in sorted(times, key=lambda k: k != "imu"):
-        if len(times[kind][0]) and stated is None:
+        if len(times[kind][0]) and kind not in coarse and stated is None:
             _offset(kind, *times[kind], clocks, kind in shifted)
     if "imu" in times and not len(times["imu"][0]) and stated is None:
         clocks.by_log = True
+    if coarse:
+        text = f"check: header stamps of {', '.join(coarse)} repeat or stand still"
+        clocks.notes.append(f"{text}: times of the log are used ([time] stamps)")
     if clocks.by_log and clocks.hold_ns:
         raise InputError(f"{source.path}: the recorder's clock was set back, and headers are of another clock")
     if clocks.by_log and stated is None:
         clocks.notes.append("header stamps are of another clock: times of the log are used ([time] stamps)")
-    if "imu" in times and len(times["imu"][0]):
+    if "imu" in times and len(times["imu"][0]) and "imu" not in coarse:
         t = clocks.of("imu").times(*times["imu"])[clocks.by_log] - source.epoch_ns
         _twice(t[(t >= 1e9 * span[0]) & (t <= 1e9 * span[1])], str(source.path))
     return clocks
@@ -125,6 +130,17 @@ def _read(source: Source, chosen: Mapping[str, Choice]) -> dict[str, tuple[np.nd
             found[kind].append(pair[:, pair[0] != 0])
     joined = {kind: np.concatenate([*pairs, np.empty((2, 0), np.int64)], axis=1) for kind, pairs in found.items()}
     return {kind: (pair[0], pair[1]) for kind, pair in joined.items()}
+
+
+def _coarse(header: np.ndarray, log: np.ndarray) -> bool:
+    """Test for stamps (n,) ns that repeat, as whole seconds do, or hardly advance, while messages come evenly."""
+    if len(header) < _LEAST:
+        return False
+    own, there = (np.diff(np.sort(x)).astype(float) for x in (header, log))
+    usual, own_usual = (float(np.median(x)) for x in (there, own))
+    even = float(np.quantile(there, 0.2)) > 0.3 * usual > 0.0  # gaps apart
+    still = own_usual < 0.1 * usual and own.sum() > 0.5 * there.sum()  # else it is a simulation that runs slowly
+    return bool(even and (np.mean(own == 0.0) > 0.4 or still))
 
 
 def _jumps(difference: np.ndarray) -> np.ndarray:

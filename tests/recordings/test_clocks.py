@@ -187,3 +187,20 @@ def test_jitter_of_the_stamps_is_no_gap(tmp_path: Path, moving: Motion) -> None:
         s, said, _ = read(tmp_path / "a.mcap")
         assert said == []
         assert len(s) == len(moving.t)
+
+
+@pytest.mark.parametrize(
+    "stamp",
+    [
+        np.floor,  # whole seconds
+        lambda t: np.floor(t * 50.0 + 1e-6) / 50.0,  # two messages with one stamp
+        lambda t: np.floor(t) + (t - np.floor(t)) * 1e-3,  # microseconds where nanoseconds belong
+    ],
+)
+def test_stamps_that_repeat_or_stand_still_are_none(tmp_path: Path, moving: Motion, stamp: Any) -> None:
+    write(tmp_path / "a.mcap", moving, header=stamp, of=("imu",))
+    s, said, _ = read(tmp_path / "a.mcap")
+    check(s, moving)
+    assert said == ["check: header stamps of imu repeat or stand still: times of the log are used ([time] stamps)"]
+    write(tmp_path / "a.mcap", moving, header=stamp)
+    assert len(read(tmp_path / "a.mcap")[0]) == len(moving.t)
