@@ -96,7 +96,7 @@ def examine(
     if source.one_clock:
         return clocks
     times = _read(source, chosen)
-    coarse = [k for k, (header, log) in times.items() if stated is None and _coarse(header, log)]
+    coarse = [k for k, (header, log) in times.items() if stated is None and coarse_stamps(header, log)]
     for kind, (header, log) in times.items():
         unset = not len(header) or kind in coarse
         clocks.by_kind[kind] = Clock(unset=True) if unset else _steps(kind, header, log, clocks)
@@ -132,7 +132,7 @@ def _read(source: Source, chosen: Mapping[str, Choice]) -> dict[str, tuple[np.nd
     return {kind: (pair[0], pair[1]) for kind, pair in joined.items()}
 
 
-def _coarse(header: np.ndarray, log: np.ndarray) -> bool:
+def coarse_stamps(header: np.ndarray, log: np.ndarray) -> bool:
     """Test for stamps (n,) ns that repeat, as whole seconds do, or hardly advance, while messages come evenly."""
     if len(header) < _LEAST:
         return False

@@ -25,6 +25,7 @@ import numpy as np
 from ahrs_sim.errors import InputError
 from ahrs_sim.log import messages
 from ahrs_sim.log.mcap.reader import stamps
+from ahrs_sim.recordings.clocks import coarse_stamps
 from ahrs_sim.sensors.grade import parse
 from ahrs_sim.sensors.suite import SECTIONS
 from ahrs_sim.world import gravity
@@ -307,8 +308,8 @@ def evenly(header_ns: np.ndarray, log_ns: np.ndarray, values: np.ndarray, where:
     """Find the longest stretch without gaps, missing values and steps of the clock.
 
     Samples that came late are put in their place, and repeated ones counted once; stamps of another clock than the
-    log's are replaced by its times, as in a replay. Coarse stamps and bursts are no gaps: those are found where the
-    stamps go ahead of an even count by half a sample and stay there.
+    log's, and those that repeat, are replaced by its times, as in a replay. Coarse stamps and bursts are no gaps: those
+    are found where the stamps go ahead of an even count by half a sample and stay there.
 
     Args:
         header_ns: (n,) int64, stamps.
@@ -324,6 +325,9 @@ def evenly(header_ns: np.ndarray, log_ns: np.ndarray, values: np.ndarray, where:
     if len(t) and abs(float(np.median(header_ns - log_ns))) > _OTHER_CLOCK_NS:
         t = log_ns
         notes.append("stamps are of another clock, times of the log are used")
+    elif coarse_stamps(header_ns, log_ns):
+        t = log_ns
+        notes.append("stamps repeat or stand still, times of the log are used")
     known = np.isfinite(values).all(axis=1)
     if not known.all():
         notes.append(f"{int((~known).sum())} samples without values")

@@ -89,6 +89,8 @@ def stamped(kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         stamps += rng.normal(0.0, 3e6, len(stamps)).astype(np.int64)
     if kind == "coarse":  # ten samples of one stamp
         stamps = stamps // 10**8 * 10**8
+    if kind == "seconds":
+        stamps = stamps // 10**9 * 10**9
     return np.sort(EVEN[rows]) if kind != "late" else EVEN, stamps, rows
 
 
@@ -104,7 +106,8 @@ def stamped(kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         ("back", "the clock steps back 1 times, first by 4.99 s", N // 3 * 2),
         ("starts anew", "another clock", N),
         ("jitter", "", N),
-        ("coarse", "", N - 10),
+        ("coarse", "stamps repeat or stand still", N - 10),
+        ("seconds", "stamps repeat or stand still", N - 10),
     ],
 )
 def test_rate_and_density_stay_right(tmp_path: Path, kind: str, words: str, least: int) -> None:
