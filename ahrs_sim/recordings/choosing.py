@@ -164,7 +164,7 @@ def _unfit(kind: str, topic: Topic, first: np.ndarray, source: Source) -> str:
         q = frames.orientation(first, topic.type_name)
         if not (np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.1).any():
             return "it has no orientation"
-        if not _changes(source, topic.name, lambda block: frames.orientation(block, topic.type_name)):
+        if not _changes(source, topic.name, functools.partial(_attitude, topic.type_name)):
             return "its orientation never changes"
     if kind in _PLACEHOLDERS and (kind != "heading" or topic.type_name == "ahrs_sim_msgs/msg/Heading"):
         what, values, only_zero = _PLACEHOLDERS[kind]
@@ -179,6 +179,14 @@ def _unfit(kind: str, topic: Topic, first: np.ndarray, source: Source) -> str:
 
 def _vector(place: str, array: np.ndarray) -> np.ndarray:
     return vector(array[place])
+
+
+def _attitude(type_name: str, array: np.ndarray) -> np.ndarray:
+    """Orientation (n, 4) to a millionth, q and -q being one."""
+    q = frames.orientation(array, type_name)
+    largest = np.argmax(np.abs(np.nan_to_num(q)).round(6), axis=1)[:, None]
+    turned: np.ndarray = np.round(q * np.sign(np.take_along_axis(q, largest, axis=1)), 6)
+    return turned
 
 
 def _linear(array: np.ndarray) -> np.ndarray:

@@ -118,11 +118,12 @@ def test_a_placeholder_is_neither_imu_nor_reference(tmp_path: Path, moving: Moti
     """More messages, a better name, unit quaternions: what never changes or says that it is absent is not taken."""
     rates, forces = {"angular_velocity": moving.gyro_b}, {"linear_acceleration": moving.accel_b}
     unit = {"orientation": np.tile([1.0, 0.0, 0.0, 0.0], (len(moving.t), 1))}
+    signs = np.where(np.arange(len(moving.t)) % 3, 1.0, -1.0)[:, None] * (1.0 + 1e-9 * moving.t[:, None])
     write_imus(
         tmp_path / "a.mcap", moving,
         a_raw_zeros=unit | {"angular_velocity": np.zeros((len(moving.t), 3))},
         b_raw_rates={**rates, **forces, "constant": {"linear_acceleration_covariance": ABSENT}},
-        c_truth={**rates, **forces, **unit},
+        c_truth={**rates, **forces, "orientation": signs * unit["orientation"]},
     )  # fmt: skip
     bag = opened(tmp_path / "a.mcap")
     assert bag.converter.chosen["imu"].topic.name == "/c_truth/imu"
