@@ -30,6 +30,7 @@ _MISFIT = 1.0  # m/s: IMU and GNSS velocity agree to less than this
 _DIP = math.radians(20.0)
 _COURSE = math.radians(8.0)
 _TURN_BINS = 5
+_STUCK_S = 1.0
 _LEG_S, _FEWEST_LEGS, _FASTEST = 4.0, 10, 350.0  # s; m/s
 _AIDS = {"gnss": "GNSS velocity", "airspeed": "airspeed"}
 
@@ -54,6 +55,8 @@ def suspicions(s: Survey, assumed: Assumed, track: Track | None) -> list[str]:
         assumed: what is taken to be so.
         track: IMU and GNSS velocity together, where there is enough of both.
     """
+    if stuck := _stuck(s):
+        return stuck
     found = _accelerometer(s, assumed.body) or _at_rest(s, assumed.body)
     found += _bias(s)
     velocity = _velocity(s)
@@ -112,6 +115,30 @@ def late_line(track: Track) -> str:
         f"GNSS velocity is {word} by {abs(track.delay):.2f} +- {max(track.delay_sigma, 0.005):.2f} s: "
         f"[time] velocity_s = {shift:g} (and fix_s, of the same receiver)"
     )
+
+
+def _stuck(s: Survey) -> list[str]:
+    """Find an IMU that repeats one reading while field or velocity say that it moves."""
+    readings = np.column_stack([s.gyro_b, s.accel_b])
+    same = (np.abs(np.diff(readings, axis=0)).max(axis=1, initial=0.0) < 1e-12) & (s.scatter[1:].max(axis=1) < 1e-12)
+    edges = np.flatnonzero(np.diff(np.r_[False, same, False].astype(int)))
+    found = []
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        if s.t[last] - s.t[first] < _STUCK_S:
+            continue
+        field = s.mag[first : last + 1]
+        field = field[np.isfinite(field).all(axis=1)]
+        turned = len(field) > 2 and np.ptp(field, axis=0).max() > 0.1 * np.median(np.linalg.norm(field, axis=1))
+        speeds = s.vel_n[(s.t_velocity > s.t[first]) & (s.t_velocity < s.t[last])]
+        if turned or (len(speeds) > 1 and np.ptp(speeds, axis=0).max() > 3.0):
+            found.append((float(s.t[first]), float(s.t[last] - s.t[first])))
+    if not found:
+        return []
+    times = f", {len(found)} times" if len(found) > 1 else ""
+    return [
+        f"the IMU repeats one reading for {sum(d for _, d in found):.1f} s (from {found[0][0]:.1f} s on{times}) while "
+        "the vehicle moves: it was stuck; --skip or --until leave that out"
+    ]
 
 
 # ----------------------------------------------------------------------------------------------- accelerometer

@@ -2,12 +2,13 @@
 
 import dataclasses
 import math
+import re
 from typing import Any
 
 import numpy as np
 import pytest
 from bag_helpers import motion
-from flights import FIELD_N, Path, Planted, flown, measured
+from flights import FIELD_N, Path, Planted, flown, measured, records
 
 from ahrs_sim import attitude
 from ahrs_sim.recordings import checks, inertial, survey
@@ -164,6 +165,22 @@ def test_in_flight(planted: Planted, words: str) -> None:
     found = lines(flown(Path(3), planted))
     assert len(found) == 1
     assert words in found[0]
+
+
+def test_an_imu_that_is_stuck_is_the_one_that_is_named() -> None:
+    block = measured(Path(3), Planted(), duration=120.0)
+    imu = block["imu"]
+    held = (imu.stamp_ns > 60 * 10**9) & (imu.stamp_ns <= 75 * 10**9)
+    row = int(np.flatnonzero(held)[0])
+    columns = {k: np.where(held[:, None], getattr(imu, k)[row], getattr(imu, k)) for k in ("gyro_b", "accel_b")}
+    (line,) = lines(survey.look([{**block, "imu": dataclasses.replace(imu, **columns)}]))
+    assert re.match(r"the IMU repeats one reading for 1[45]\.\d s \(from 60\.\d s on\) while the vehicle moves", line)
+    still = motion(30.0, still=30.0)  # without noise: it stands
+    quiet = {
+        "imu": records(ImuRecord, still.t, gyro_b=still.gyro_b, accel_b=still.accel_b),
+        "mag": records(MagRecord, still.t, mag_b=still.mag_b),
+    }
+    assert not any("repeats" in line for line in lines(survey.look([quiet])))
 
 
 @pytest.mark.parametrize(
