@@ -243,6 +243,7 @@ class Converter:
         lla = np.column_stack([array["latitude"], array["longitude"], array["altitude"]])
         none = (array["status"]["status"] < 0) | ((lla[:, 0] == 0.0) & (lla[:, 1] == 0.0))
         lla[none | (np.abs(lla[:, 0]) > 90.0) | (np.abs(lla[:, 1]) > 360.0)] = np.nan
+        self.counts["fix: messages without a fix"] += int(np.sum(np.isnan(lla[:, 0])))
         variance = array["position_covariance"][:, [4, 0, 8]]
         known = (array["position_covariance_type"] > 0)[:, None] & (variance > 0)
         flat = np.isfinite(lla[:, :2]).all(axis=1) & np.isnan(lla[:, 2])  # of two dimensions

@@ -45,6 +45,14 @@ def test_the_receiver_that_the_autopilot_used(tmp_path: Path, moving: Motion) ->
     assert samples_of(path)[1]["velocity"] == "sensor_gps[1]/velocity"
 
 
+def test_messages_without_a_fix_are_counted(tmp_path: Path, moving: Motion) -> None:
+    n = len(moving.t[::20])
+    made = receiver(moving, fix_type=np.where(np.arange(n) < 30, 2, 3))
+    with open_bag(write(tmp_path / "a.ulg", inertial(moving), made), map_file=None) as bag:
+        assert list(bag.blocks())
+        assert "fix: messages without a fix: 30" in bag.counted()
+
+
 def test_a_heading_that_never_changes_is_none(tmp_path: Path, moving: Motion) -> None:
     """Receivers without a second antenna fill the field with 0."""
     for heading, chosen in ((0.0, False), (0.01 * np.arange(len(moving.t[::20])), True)):
