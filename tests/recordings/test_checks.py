@@ -174,7 +174,7 @@ def test_an_imu_that_is_stuck_is_the_one_that_is_named() -> None:
     row = int(np.flatnonzero(held)[0])
     columns = {k: np.where(held[:, None], getattr(imu, k)[row], getattr(imu, k)) for k in ("gyro_b", "accel_b")}
     (line,) = lines(survey.look([{**block, "imu": dataclasses.replace(imu, **columns)}]))
-    assert re.match(r"the IMU repeats one reading for 1[45]\.\d s \(from 60\.\d s on\) while the vehicle moves", line)
+    assert re.match(r"the IMU repeats one reading for 1[45]\.\d s \(from 60\.\d s on\) while the field turns", line)
     still = motion(30.0, still=30.0)  # without noise: it stands
     quiet = {
         "imu": records(ImuRecord, still.t, gyro_b=still.gyro_b, accel_b=still.accel_b),
