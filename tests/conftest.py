@@ -1,6 +1,10 @@
 """What all tests share."""
 
+import contextlib
 import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
+from typing import Any
 
 import pytest
 
@@ -39,3 +43,47 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def _exceptions_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have the command line raise what is unforeseen, here and in its subprocesses, instead of reporting it."""
     monkeypatch.setenv("AHRS_SIM_DEBUG", "1")
+
+
+class _BegunHere:
+    """Stands for a flight in a process of its own: there is none, so that the pipeline opens one in this process."""
+
+    def __init__(self, *_: Any) -> None: ...
+
+    def ready(self) -> None: ...
+
+
+@pytest.fixture(autouse=True)
+def _flights_begin_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have `main(["fly", ...])` fly in this process: to start another takes longer than most flights of the tests.
+
+    Commands in processes of their own fly as users do; tests/test_flights.py compares the bytes of both.
+    """
+    monkeypatch.setattr("ahrs_sim.flight.ahead.FlightAhead", _BegunHere)
+
+
+class _Here(Executor):
+    """Does what it is given at once, in this process."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+        done: Future[Any] = Future()
+        done.set_result(fn(*args, **kwargs))
+        return done
+
+
+@pytest.fixture
+def pool_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a pool of one worker fly in this process; pools of more are of processes, as a user's are."""
+    from ahrs_sim.runs import pool
+
+    processes = pool.local_pool
+
+    @contextlib.contextmanager
+    def local_pool(workers: int | None = None) -> Iterator[pool.Pool]:
+        if workers == 1:
+            yield pool.Pool(_Here, 1)
+        else:
+            with processes(workers) as made:
+                yield made
+
+    monkeypatch.setattr(pool, "local_pool", local_pool)

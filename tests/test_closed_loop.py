@@ -129,6 +129,7 @@ def test_the_papers_filter_crashes_in_its_first_turn(tmp_path: Path) -> None:
     assert at["estimated"] < 30.0, "the bank asked for is not reached, so it banks on"
 
 
+@pytest.mark.long
 def test_a_crash_ends_the_flight_with_an_event_and_a_whole_log(tmp_path: Path) -> None:
     """The unaided filter takes the acceleration of the take-off for a pitch of tens of degrees."""
     scene, log = tmp_path / "closed.toml", tmp_path / "closed.mcap"

@@ -3,6 +3,8 @@
 One flight of 75 s (all estimators of the circuit; standing, take-off, climb) and one whole circuit serve most tests.
 """
 
+import contextlib
+import io
 import json
 import os
 import re
@@ -33,9 +35,9 @@ def fly(*arguments: str | Path) -> int:
 
 
 def compare(log: Path, *arguments: str) -> dict:
-    done = run("compare", log, "--json", *arguments)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        assert main(["compare", str(log), "--json", *arguments]) == 0
+    return json.loads(out.getvalue())
 
 
 def read(log: Path, topic: str) -> np.ndarray:
@@ -65,15 +67,15 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Short:
     return log, done
 
 
-def test_fly_prints_the_table_and_the_path(short: Short, tmp_path: Path) -> None:
+def test_fly_prints_the_table_and_the_path(short: Short, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """And nothing else: `short` has compiled the estimators."""
     log = tmp_path / "a.mcap"
-    done = run("fly", "circuit", "--duration", "30", "-o", log)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    assert main(["fly", "circuit", "--duration", "30", "-o", str(log)]) == 0
+    out, err = capfd.readouterr()
+    assert err == ""
     for name in ("ekf-chr", "ckf-chr", "cdkf-chr", "ekf-sbg"):
-        assert re.search(rf"^{name} +\d", done.stdout, re.MULTILINE), done.stdout
-    assert done.stdout.rstrip().endswith(str(log))
+        assert re.search(rf"^{name} +\d", out, re.MULTILINE), out
+    assert out.rstrip().endswith(str(log))
 
 
 def test_fly_and_compare_report_the_same(short: Short) -> None:
@@ -98,17 +100,14 @@ def test_a_process_of_its_own_flies_the_same(short: Short, tmp_path: Path) -> No
 
 def test_one_sample_blocks_are_the_same_code(tmp_path: Path) -> None:
     """The closed loop works sample by sample; flying on the truth that way changes nothing."""
-    logs = [tmp_path / "open.mcap", tmp_path / "sample.mcap"]
-    chosen = [
-        "--estimator",
-        "ckf-air-chr",
-        "--estimator",
-        "ins21-sbg",
-        "--duration",
-        "66",
-    ]  # to the first seconds of flight
-    assert fly("circuit", *chosen, "-o", logs[0]) == 0
-    assert fly("circuit", *chosen, "-o", logs[1], "--block", "0.01") == 0
+    logs, scene = [tmp_path / "open.mcap", tmp_path / "sample.mcap"], tmp_path / "soon.toml"
+    soon = 'extends = "takeoff"\nestimators = ["ckf-air-chr", "ins21-sbg"]\nduration_s = 20.0\n'
+    soon += '[[step]]\ndo = "wait"\nfor_s = 8.0\n[[step]]\ndo = "takeoff"\n'
+    soon += "[estimator.ckf-air-chr]\nalign_s = 6.0\n[estimator.ins21-sbg]\nalign_s = 6.0\n"
+    scene.write_text(soon)
+    assert fly(scene, "-o", logs[0]) == 0
+    assert read(logs[0], "/truth/attitude")["pitch"].max() > 0.05, "it has taken off"
+    assert fly(scene, "-o", logs[1], "--block", "0.01") == 0
     assert logs[0].read_bytes() == logs[1].read_bytes()
 
 
@@ -154,7 +153,8 @@ def test_compare_with_the_papers_reference(short: Short) -> None:
 def test_kill_and_recover(short: Short, tmp_path: Path) -> None:
     log, part, back = tmp_path / "k.mcap", tmp_path / "k.mcap.part", tmp_path / "back.mcap"
     process = subprocess.Popen(
-        [sys.executable, "-m", "ahrs_sim", "fly", "circuit", "-o", str(log)], stdout=subprocess.DEVNULL
+        [sys.executable, "-m", "ahrs_sim", "fly", "circuit", "--estimator", "ekf-chr", "-o", str(log)],
+        stdout=subprocess.DEVNULL,
     )
     deadline = time.monotonic() + 120
     while not (part.exists() and part.stat().st_size > 3e6) and time.monotonic() < deadline:
@@ -162,9 +162,8 @@ def test_kill_and_recover(short: Short, tmp_path: Path) -> None:
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert not log.exists()
-    assert run("compare", part).returncode == 2
-    done = run("recover", part, "-o", back)
-    assert done.returncode == 0, done.stderr
+    assert main(["compare", str(part)]) == 2
+    assert main(["recover", str(part), "-o", str(back)]) == 0
     assert compare(back)["to_s"] > 5
     a, b = (read(x, "/truth/odometry") for x in (back, short[0]))
     n = min(len(a), len(b))
@@ -175,7 +174,7 @@ def test_kill_and_recover(short: Short, tmp_path: Path) -> None:
 def test_interrupt_closes_the_log(tmp_path: Path) -> None:
     log, part = tmp_path / "i.mcap", tmp_path / "i.mcap.part"
     process = subprocess.Popen(
-        [sys.executable, "-m", "ahrs_sim", "fly", "circuit", "-o", str(log)],
+        [sys.executable, "-m", "ahrs_sim", "fly", "circuit", "--estimator", "ekf-chr", "-o", str(log)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -221,12 +220,22 @@ def test_bad_scenarios_get_one_line_and_leave_nothing(
     assert list(tmp_path.iterdir()) == [scene]
 
 
+def test_what_jsbsim_refuses_in_its_process_is_one_line(tmp_path: Path) -> None:
+    scene = tmp_path / "bad.toml"
+    scene.write_text(BAD["unknown property"][0])
+    done = run("fly", scene, "-o", tmp_path / "bad.mcap")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert "fcs/nothing" in done.stderr
+    assert list(tmp_path.iterdir()) == [scene]
+
+
 def test_existing_and_unwritable_output(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "kept.mcap"
     log.write_bytes(b"precious")
-    done = run("fly", "circuit", "-o", log)
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert "--force" in done.stderr
+    assert main(["fly", "circuit", "-o", str(log)]) == 2
+    error = capfd.readouterr().err
+    assert error.count("\n") == 1
+    assert "--force" in error
     assert log.read_bytes() == b"precious"
     assert main(["fly", "circuit", "-o", str(log / "x.mcap")]) == 2
     error = capfd.readouterr().err
@@ -245,12 +254,13 @@ def test_compare_refuses_what_is_no_log(tmp_path: Path, content: bytes, capfd: p
         assert "x.mcap" in error
 
 
-def test_truncated_log(short: Short, tmp_path: Path) -> None:
+def test_truncated_log(short: Short, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes(short[0].read_bytes()[:2_000_000])
-    done = run("compare", path)
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert "recover" in done.stderr
+    assert main(["compare", str(path)]) == 2
+    error = capfd.readouterr().err
+    assert error.count("\n") == 1
+    assert "recover" in error
 
 
 def test_help_is_quick_because_imports_are_lazy() -> None:
@@ -263,7 +273,8 @@ def test_help_is_quick_because_imports_are_lazy() -> None:
 def test_fly_does_not_import_what_it_does_not_need(tmp_path: Path) -> None:
     code = (
         "import sys, ahrs_sim.cli as c\n"
-        f"assert c.main(['fly', 'circuit', '--duration', '2', '--quiet', '-o', {str(tmp_path / 'x.mcap')!r}]) == 0\n"
+        "asked = ['fly', 'circuit', '--estimator', 'ekf-chr', '--duration', '2', '--quiet']\n"
+        f"assert c.main([*asked, '-o', {str(tmp_path / 'x.mcap')!r}]) == 0\n"
         "print(*sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -14,6 +14,8 @@ from ahrs_sim.cli import main
 from ahrs_sim.errors import InputError
 from ahrs_sim.review.frames import LogFrames
 
+pytestmark = pytest.mark.usefixtures("pool_here")
+
 SHORT = 'extends = "circuit"\nduration_s = 75.0\nestimators = ["ekf-chr", "ekf-sbg"]\n'
 
 

@@ -47,6 +47,7 @@ def test_the_same_flight_is_flown_once(fly_scenario: FlyScenario) -> None:
     assert fly_scenario("sway", duration=3, seed=5, estimators=tables) != one
 
 
+@pytest.mark.long
 def test_workers_share_flights(tmp_path: Path) -> None:
     """Each of two files is on a worker of its own."""
     for number in (1, 2):

@@ -8,6 +8,8 @@ import pytest
 
 from ahrs_sim import cli
 
+pytestmark = pytest.mark.usefixtures("pool_here")
+
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:

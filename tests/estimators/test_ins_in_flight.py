@@ -83,6 +83,7 @@ def figures():
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("suite", ["chr", "sbg"])
 @pytest.mark.parametrize("quantity", ["attitude", "velocity", "position", "gyro bias", "accelerometer bias"])
 def test_ins21_knows_how_far_off_it_is(figures, suite, quantity):

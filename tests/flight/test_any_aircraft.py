@@ -120,6 +120,7 @@ def test_it_flies_on_an_estimate():
     assert roll == pytest.approx(15.0, abs=1.0)
 
 
+@pytest.mark.long
 def test_a_real_estimator_flies_a_cessna():
     """It takes over in level flight and turns on what its sensors say; the bank is as good as the estimate is."""
     steps = [

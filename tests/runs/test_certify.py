@@ -16,6 +16,8 @@ from ahrs_sim.runs import pool as pools
 from ahrs_sim.runs.pool import Span
 from ahrs_sim.scenario import Gate
 
+pytestmark = pytest.mark.usefixtures("pool_here")
+
 LIMITS = """
 title = "Motion table"
 quantile = 0.5

@@ -22,6 +22,8 @@ from ahrs_sim.scenario.shipped import scenario_dir
 
 ROOT = Path(__file__).parents[2]
 
+pytestmark = pytest.mark.usefixtures("pool_here")
+
 SUITE = """
 [estimator.ekf]
 method = "marg-ekf"

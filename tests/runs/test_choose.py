@@ -14,6 +14,8 @@ from ahrs_sim.runs import pool as pools
 from ahrs_sim.runs.pool import Outcome
 from ahrs_sim.scenario import Gate
 
+pytestmark = pytest.mark.usefixtures("pool_here")
+
 TABLE = """
 duration_s = 60.0
 [motion]

@@ -74,6 +74,7 @@ def flown():
     return weaving(1)
 
 
+@pytest.mark.long
 def test_planted_noises_are_found(flown):
     found = tune(flown, ["gyro_noise=1e-4..0.1", "accel_noise=0.02..5", "velocity_share=0.01..1"])
     assert found.settings["gyro_noise"] == pytest.approx(GYRO, rel=0.2)

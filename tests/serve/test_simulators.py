@@ -51,7 +51,7 @@ def fly(folder: Path, simulator: str, answers: int) -> dict[str, dict[str, dict[
 def test_px4_in_lockstep_has_the_figures_of_the_same_estimator_in_process(tmp_path: Path) -> None:
     result = fly(tmp_path, "px4", free(socket.SOCK_DGRAM))
     timing = result["timing"]
-    assert timing["sent"] == 2001 and timing["foreign"] == timing["damaged"] == 0 and timing["answers"] > 1400
+    assert timing["sent"] == 1501 and timing["foreign"] == timing["damaged"] == 0 and timing["answers"] > 800
     inside, px4 = result["estimators"]["inside"], result["estimators"]["px4"]
     assert px4["tilt_rmse_deg"] == pytest.approx(inside["tilt_rmse_deg"], rel=0.02)
     assert differences(tmp_path / "x.mcap", name="px4").max() < 1e-3
@@ -60,7 +60,7 @@ def test_px4_in_lockstep_has_the_figures_of_the_same_estimator_in_process(tmp_pa
 def test_ardupilot_gets_the_flight_and_its_attitude_has_the_right_time(tmp_path: Path) -> None:
     result = fly(tmp_path, "ardupilot", free(socket.SOCK_STREAM))
     timing = result["timing"]
-    assert timing["sent"] == 2001 and timing["foreign"] == 0 and timing["answers"] > 800
+    assert timing["sent"] == 1501 and timing["foreign"] == 0 and timing["answers"] > 550
     assert result["estimators"]["ardupilot"]["tilt_rmse_deg"] < 0.05  # it was given the truth
     with FlightReader(tmp_path / "x.mcap") as reader:
         given, truth = reader.estimates("ardupilot"), reader.truth()
