@@ -101,9 +101,10 @@ def test_a_process_of_its_own_flies_the_same(short: Short, tmp_path: Path) -> No
 def test_one_sample_blocks_are_the_same_code(tmp_path: Path) -> None:
     """The closed loop works sample by sample; flying on the truth that way changes nothing."""
     logs, scene = [tmp_path / "open.mcap", tmp_path / "sample.mcap"], tmp_path / "soon.toml"
-    soon = 'extends = "takeoff"\nestimators = ["ckf-air-chr", "ins21-sbg"]\nduration_s = 20.0\n'
+    soon = 'extends = "takeoff"\nestimators = ["a", "b"]\nduration_s = 20.0\n'
+    soon += '[estimator.a]\nmethod = "marg-ckf"\nsuite = "chr"\naiding = "airspeed"\nalign_s = 6.0\n'
+    soon += '[estimator.b]\nmethod = "ins21"\nsuite = "sbg"\nalign_s = 6.0\n'
     soon += '[[step]]\ndo = "wait"\nfor_s = 8.0\n[[step]]\ndo = "takeoff"\n'
-    soon += "[estimator.ckf-air-chr]\nalign_s = 6.0\n[estimator.ins21-sbg]\nalign_s = 6.0\n"
     scene.write_text(soon)
     assert fly(scene, "-o", logs[0]) == 0
     assert read(logs[0], "/truth/attitude")["pitch"].max() > 0.05, "it has taken off"
