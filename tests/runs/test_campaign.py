@@ -23,8 +23,6 @@ from ahrs_sim.runs.campaign import Plan, Store, Variation, put
 from ahrs_sim.runs.pool import Outcome, Run
 from ahrs_sim.runs.tuning import Knob
 
-pytestmark = pytest.mark.usefixtures("pool_here")
-
 SHORT = """
 seed = 7
 duration_s = 24.0
@@ -262,6 +260,7 @@ def test_fly_interrupt_and_repeat(short: Path, tmp_path: Path, capsys: pytest.Ca
     assert "runs are 0 to 4" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("pool_here")
 def test_a_run_that_fails_is_recorded_and_stops_nothing(tmp_path: Path) -> None:
     path = tmp_path / "crash.toml"
     path.write_text(

@@ -43,7 +43,7 @@ do = "wait"
 for_s = 6.0
 [[step]]
 do = "takeoff"
-to_height_m = 8.0
+to_height_m = 10.0
 [[step]]
 do = "turn"
 bank_deg = 30.0
