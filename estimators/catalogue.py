@@ -9,13 +9,19 @@ A class of your own joins as `create("package.module:Class")` or under a name of
 check (`ahrs_sim.scenario.code` does so for the whole test bench).
 """
 
+import contextlib
 import importlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from importlib import metadata
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from estimators.errors import SettingError
@@ -184,6 +190,8 @@ def prepare(
 ) -> None:
     """Compile, or load from the disk, the kernels of some methods, so that none of them does later.
 
+    When there is much to compile, a second process begins with the last of it.
+
     Args:
         methods: name and settings of each; what is not of this catalogue is left out.
         progress: called with name, number and count of a method when something of it has to be compiled.
@@ -194,21 +202,73 @@ def prepare(
     from estimators import native
 
     own = [(name, settings) for name, settings in methods if name in _CATALOGUE]
-    for number, (name, settings) in enumerate(own, 1):
-        reported: list[None] = []
+    plans = _planned(own)
+    with _second(own) if sum(map(len, plans)) >= MANY else contextlib.nullcontext():
+        for number, ((name, settings), plan) in enumerate(zip(own, plans, strict=True), 1):
+            reported: list[None] = []
 
-        def report(name: str = name, number: int = number, reported: list[None] = reported) -> None:
-            if not reported:
-                reported.append(None)
-                progress(name, number, len(own))
+            def report(name: str = name, number: int = number, reported: list[None] = reported) -> None:
+                if not reported:
+                    reported.append(None)
+                    progress(name, number, len(own))
 
-        native.listeners.append(report)
+            if plan:
+                report()
+            native.listeners.append(report)
+            try:
+                prepare_one = getattr(create(name, **settings), "prepare", None)
+                if prepare_one is not None:
+                    prepare_one()
+            finally:
+                native.listeners.remove(report)
+
+
+MANY = 8
+"""Kernels to compile from which on a second process is worth its start."""
+
+_Plans = list[dict[Path, Callable[[], None]]]
+
+
+def _planned(methods: Sequence[tuple[str, Mapping[str, Any]]]) -> _Plans:
+    """List by method the kernels that are not on the disk and that no method before it has: file, and what makes it."""
+    from estimators import native
+
+    plans: _Plans = []
+    with native.planning() as listed:
+        for name, settings in methods:
+            before = len(listed)
+            made = create(name, **settings)
+            if hasattr(made, "assemble"):
+                made.assemble()
+            plans.append(dict(list(listed.items())[before:]))
+    return plans
+
+
+@contextlib.contextmanager
+def _second(methods: Sequence[tuple[str, Mapping[str, Any]]]) -> Iterator[None]:
+    """Have a process of its own compile, last kernels first, whatever is not there yet."""
+    from estimators.jit import FOLDER
+
+    path = [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(FOLDER.parent), "PYTHONPATH": os.pathsep.join(path)}
+    command = [sys.executable, "-W", "ignore", "-c", "from estimators.catalogue import _compile_last; _compile_last()"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment) as process:
         try:
-            prepare_one = getattr(create(name, **settings), "prepare", None)
-            if prepare_one is not None:
-                prepare_one()
+            with contextlib.suppress(BrokenPipeError):
+                process.stdin.write(pickle.dumps([(n, dict(s)) for n, s in methods]))  # type: ignore[union-attr]
+                process.stdin.close()  # type: ignore[union-attr]
+            yield
         finally:
-            native.listeners.remove(report)
+            process.kill()
+
+
+def _compile_last() -> None:
+    """Run the second process."""
+    plans = _planned(pickle.load(sys.stdin.buffer))
+    for plan in reversed(plans):
+        for path, compile_it in reversed(plan.items()):
+            if not path.exists():
+                compile_it()
 
 
 def _create(method: Method, site: Site, sensors: SensorInfo, settings: Mapping[str, Any]) -> "Estimator":

@@ -13,14 +13,16 @@ The C functions are kept on disk in the folder of `jit` (a file each, keyed by t
 With `NUMBA_DISABLE_JIT=1` the same calls run plain Python.
 """
 
+import contextlib
 import ctypes
+import gc
 import hashlib
 import os
 import pickle
 import sys
 import tempfile
 import types as types_
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeAlias, TypeVar, cast, get_args, get_type_hints
 
@@ -377,7 +379,9 @@ def supplied(called: Any, owner: Any, kernel: Callable[..., Any] | None, key: st
     name = f"{key}.{called.__name__}"
     if name not in _LOADED:
         body = called.adapter(owner, kernel and inner(getattr(kernel, "py_func", kernel), forceinline=True))
-        _LOADED[name] = compiled(name, body, called.arguments, called.returns)
+        if not (address := compiled(name, body, called.arguments, called.returns)):
+            return 0  # listed by `planning`
+        _LOADED[name] = address
     return _LOADED[name]
 
 
@@ -460,8 +464,25 @@ listeners: list[Callable[[], None]] = []
 """Called before each compilation of a C function, not when it comes from the disk."""
 
 
+_planned: dict[Path, Callable[[], None]] | None = None
+
+
+@contextlib.contextmanager
+def planning() -> Iterator[dict[Path, Callable[[], None]]]:
+    """List what is not on the disk yet instead of compiling it: by file, what makes it.
+
+    What is created meanwhile has no kernels and must not be run.
+    """
+    global _planned
+    _planned = {}
+    try:
+        yield _planned
+    finally:
+        _planned = None
+
+
 def compiled(name: str, function: Callable[..., Any], arguments: str, returns: Any) -> int:
-    """Address of `function` as a C function; loaded from disk if it was ever compiled before.
+    """Address of `function` as a C function; loaded from disk if it was ever compiled before. 0 while `planning`.
 
     Args:
         name: unique in all the sources.
@@ -476,6 +497,9 @@ def compiled(name: str, function: Callable[..., Any], arguments: str, returns: A
     try:
         symbol, state = pickle.loads(path.read_bytes())
     except (OSError, EOFError, ValueError, pickle.UnpicklingError):
+        if _planned is not None:
+            _planned[path] = lambda: _store(path, pickle.dumps(_compile(function, arguments, returns)))
+            return 0
         symbol, state = _compile(function, arguments, returns)
         _store(path, pickle.dumps((symbol, state)))
     _KEEP.append(codegen.unserialize_library(state))
@@ -496,7 +520,13 @@ def cfunc(function: Callable[..., Any], arguments: str, returns: Any) -> Any:
 def _compile(function: Callable[..., Any], arguments: str, returns: Any) -> tuple[str, Any]:
     for listener in listeners:
         listener()
-    made = cfunc(function, arguments, returns)
+    collects = gc.isenabled()
+    gc.disable()  # a tenth of the time would go into looking for circles among the compiler's objects
+    try:
+        made = cfunc(function, arguments, returns)
+    finally:
+        if collects:
+            gc.enable()
     name, _, (code, _) = made._library.serialize_using_object_code()
     nothing = llvm.parse_assembly("").as_bitcode()
     return made.native_name, (name, "object", (code, nothing))
