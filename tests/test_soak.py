@@ -50,11 +50,11 @@ def test_two_hours_with_the_catalogue(tmp_path):
         samples = assembler.assemble(suite.sense(truth))
         reference = attitude.interpolate(truth.t, truth.q_nb, samples.t)
         for name, estimator in flying.items():
-            said = estimator.process(samples)
+            estimates = estimator.process(samples)
             at = f"{name}, {truth.t[0]:.0f} s"
-            assert (said.status != Status.DIVERGED).all(), at
-            aligned = said.status != Status.ALIGNING
-            assert np.isfinite(said.down_b[aligned]).all(), at
+            assert (estimates.status != Status.DIVERGED).all(), at
+            aligned = estimates.status != Status.ALIGNING
+            assert np.isfinite(estimates.down_b[aligned]).all(), at
             P = estimator.state()["filter"]["P"]
             if np.array_equal(P, np.tril(P)):  # square-root forms carry its factor
                 P = P @ P.T
@@ -62,7 +62,7 @@ def test_two_hours_with_the_catalogue(tmp_path):
             spread = np.sqrt(np.diag(P))
             assert (spread > 0.0).all(), at
             assert np.linalg.eigvalsh(P / np.outer(spread, spread)).min() > 0.0, at
-            errors = metrics.statistics(metrics.attitude_errors(said.q_nb, said.down_b, reference))
+            errors = metrics.statistics(metrics.attitude_errors(estimates.q_nb, estimates.down_b, reference))
             rms[name].append((errors["tilt_rmse_deg"], errors["heading_rmse_deg"]))
     assert truth.t.size == 0 and len(rms[name]) == HOURS * 3600.0 / BLOCK_S + 1
     for name, values in rms.items():

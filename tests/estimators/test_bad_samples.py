@@ -123,14 +123,14 @@ def assert_no_word_missing(estimates):
     """Once aligned every row has an attitude, or says that it is lost; every covariance is one."""
     aligned = estimates.status != Status.ALIGNING
     assert aligned[800:].all()
-    said = aligned & (estimates.status != Status.DIVERGED)
+    valid = aligned & (estimates.status != Status.DIVERGED)
     for name in ("down_b", "gyro_bias", "att_cov"):
-        column = getattr(estimates, name).reshape(len(said), -1)
+        column = getattr(estimates, name).reshape(len(valid), -1)
         known = np.isfinite(column)
-        usual = known[said][-1]  # a method without this quantity says so in every row
-        assert (known[said] == usual).all(), name
-    np.testing.assert_allclose(np.linalg.norm(estimates.down_b[said], axis=1), 1.0, atol=1e-9)
-    P = estimates.att_cov[said]
+        usual = known[valid][-1]  # a method without this quantity says so in every row
+        assert (known[valid] == usual).all(), name
+    np.testing.assert_allclose(np.linalg.norm(estimates.down_b[valid], axis=1), 1.0, atol=1e-9)
+    P = estimates.att_cov[valid]
     np.testing.assert_allclose(P, P.transpose(0, 2, 1), rtol=1e-9, atol=1e-18)
     if np.isfinite(P).all():
         assert np.linalg.eigvalsh(P).min() > -1e-12

@@ -88,7 +88,7 @@ def test_a_state_of_another_estimator_is_refused():
 
 
 def _damaged(state):
-    """(what is said, a state that is not whole) of one that is."""
+    """(what is reported, a state that is not whole) of one that is."""
     kept = state["filter"]
     for name in ("x", "P", "P_restart", "u", "z", "used", "trust", "memory", "parameters"):
         yield name, {**state, "filter": {**kept, name: kept[name][:1] if kept[name].ndim else kept["x"]}}
@@ -160,10 +160,10 @@ def test_a_sensor_that_reads_zero_is_not_running(name, column):
 def test_prepare_reports_what_it_compiles(tmp_path):
     code = (
         "import estimators\n"
-        "said = []\n"
+        "reported = []\n"
         "given = [('tilt-ekf', {}), ('somebody:Else', {}), ('sekf', {})]\n"
-        "estimators.prepare(given, lambda *progress: said.append(progress))\n"
-        "print(said)"
+        "estimators.prepare(given, lambda *progress: reported.append(progress))\n"
+        "print(reported)"
     )
     found = []
     for _ in range(2):
@@ -314,7 +314,7 @@ def test_after_a_long_gap_it_aligns_anew():
 
 @pytest.mark.parametrize("seconds", [1.0, 2.0, 4.0])
 def test_a_short_standing_counts(seconds):
-    """Motion after it ends the alignment at once, with the attitude that it has turned to, and an honest sigma."""
+    """Motion after it ends the alignment at once, with the attitude that it has turned to, and a sigma that covers its error."""
     samples, truth = swinging(25.0)
     first = round(100 * (5.0 - seconds))
     late = Samples(*(getattr(samples, name)[first:] for name in Samples.__slots__))

@@ -129,8 +129,8 @@ def test_latency_is_compensated():
     velocity = 23.0 * np.stack([np.cos(yaw), np.sin(yaw)], -1)
     off = []
     for stamps in (samples.gnss_t, samples.t.copy()):  # as it was, and taken for true on arrival
-        told = dataclasses.replace(samples, gnss_t=stamps)
-        estimates = create("ins21", site=SITE, sensors=SENSORS, align_s=10.0).process(told)
+        stamped = dataclasses.replace(samples, gnss_t=stamps)
+        estimates = create("ins21", site=SITE, sensors=SENSORS, align_s=10.0).process(stamped)
         off.append(rms(estimates.vel_n[turning][:, :2] - velocity))
     assert off[0] < 0.15
     assert off[1] > 0.4

@@ -71,5 +71,5 @@ def test_velocity_and_place_are_those_of_the_stamp():
             assert np.linalg.eigvalsh(covariance).min() > 0.0
     wander = SensorInfo().gnss_pos * np.sqrt(UP_SHARE)  # of the fixes, by axis: it is in what is known of the place
     assert (np.sqrt(np.diagonal(estimates.pos_cov[-1])) > wander).all()
-    believed, moved = (np.sqrt(np.mean((v - found[0]) ** 2)) for v in found[1:])
-    assert moved < 0.4 * believed, (moved, believed)
+    as_declared, moved = (np.sqrt(np.mean((v - found[0]) ** 2)) for v in found[1:])
+    assert moved < 0.4 * as_declared, (moved, as_declared)

@@ -70,10 +70,10 @@ def attempt(kind: str, number: int, seed: int, sound: Path, folder: Path) -> str
         if beside != file.name:
             shutil.copy(sound / beside, folder)
     actions = inputs.KINDS[kind].actions
-    return judged(kind, file, number % len(actions), folder)
+    return outcome(kind, file, number % len(actions), folder)
 
 
-def judged(kind: str, file: Path, action: int, folder: Path) -> str:
+def outcome(kind: str, file: Path, action: int, folder: Path) -> str:
     """Run an action on a file; see `attempt`."""
     out = folder / "out"
     out.mkdir()
@@ -182,7 +182,7 @@ def run(mutations: int, seed: int, kinds: list[str] | None = None, first: int = 
             for action in range(len(inputs.KINDS[kind].actions)):
                 with tempfile.TemporaryDirectory(prefix="fuzz-") as place:
                     shutil.copytree(sound, place, dirs_exist_ok=True)
-                    what = judged(kind, Path(place) / inputs.KINDS[kind].file, action, Path(place))
+                    what = outcome(kind, Path(place) / inputs.KINDS[kind].file, action, Path(place))
                 if what != "done":
                     report.failures.setdefault(f"{kind}, action {action}, sound: {what}", []).append((kind, -1))
         for kind in chosen:

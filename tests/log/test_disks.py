@@ -79,7 +79,7 @@ def test_two_writers_of_one_log(tmp_path: Path) -> None:
 
 
 def test_two_commands_at_once_leave_one_whole_log(tmp_path: Path) -> None:
-    """One of them flies; the other is told so, or finds the log finished."""
+    """One of them flies; the other reports that, or finds the log finished."""
     command = ["fly", "sway", "--duration", "3", "--estimator", "ekf-chr", "-o", str(tmp_path / "a.mcap"), "--quiet"]
     made = [subprocess.Popen([sys.executable, "-m", "ahrs_sim", *command], stderr=subprocess.PIPE) for _ in range(2)]
     errors = [process.communicate()[1].decode() for process in made]

@@ -43,7 +43,7 @@ class Viewer(threading.Thread):
         with connection:
             for frame in connection:
                 if isinstance(frame, str):
-                    self.told(connection, json.loads(frame))
+                    self.answer(connection, json.loads(frame))
                 elif frame[0] == MESSAGE:
                     subscription, log_time = struct.unpack("<IQ", frame[1:13])
                     topic = self.channels[subscription]["topic"]
@@ -52,7 +52,7 @@ class Viewer(threading.Thread):
                 elif frame[0] == TIME:
                     self.clock.append(struct.unpack("<Q", frame[1:9])[0])
 
-    def told(self, connection: object, message: dict) -> None:
+    def answer(self, connection: object, message: dict) -> None:
         if message["op"] == "advertise":
             self.channels |= {c["id"]: c for c in message["channels"]}
             wanted = [{"id": c["id"], "channelId": c["id"]} for c in message["channels"]]
@@ -147,8 +147,8 @@ def test_what_goes_wrong_is_one_line(
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         assert cli.main([*arguments, f"--live={taken.getsockname()[1]}"]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "choose another port" in said
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "choose another port" in error
     monkeypatch.setitem(sys.modules, "foxglove", None)
     assert cli.main([*arguments, "--live"]) == 2
     assert capsys.readouterr().err == "ahrs-sim: --live needs foxglove-sdk; pip install 'ahrs-sim[live]'\n"

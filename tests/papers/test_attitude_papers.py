@@ -40,10 +40,10 @@ def test_times():
 def test_printed_noise_read_as_variances():
     """Paper 002: 10 deg/h, 10 ug and 1e-13 T as (rad/s)^2, (m/s2)^2 and T^2 of a sample at 100 Hz."""
     flown = bench.fly({"motion": {"kind": "constant"}, "duration_s": 100.0, "rate_hz": 100.0}, "still")
-    said, mean = bench.measure(flown, fuzzy._VARIANCES, 1).samples, flown.truth
-    assert np.degrees((said.gyro_b - mean.rate_ib_b).std()) == pytest.approx(0.399, rel=0.02)
-    assert (said.accel_b - mean.accel_b).std() / 9.80665 == pytest.approx(1.01e-3, rel=0.02)
-    assert said.mag_b.std(axis=0).mean() == pytest.approx(0.316e-6, rel=0.03)
+    noisy, mean = bench.measure(flown, fuzzy._VARIANCES, 1).samples, flown.truth
+    assert np.degrees((noisy.gyro_b - mean.rate_ib_b).std()) == pytest.approx(0.399, rel=0.02)
+    assert (noisy.accel_b - mean.accel_b).std() / 9.80665 == pytest.approx(1.01e-3, rel=0.02)
+    assert noisy.mag_b.std(axis=0).mean() == pytest.approx(0.316e-6, rel=0.03)
 
 
 def test_the_stepped_regime_covers_every_minute():
@@ -65,12 +65,12 @@ def test_the_page_and_the_command(monkeypatch, capsys, tmp_path):
     assert "did you mean 'fuzzy'" in capsys.readouterr().err
 
 
-def test_the_bias_is_judged_against_what_the_gyro_has():
+def test_the_bias_is_compared_with_what_the_gyro_has():
     flown = bench.fly({"motion": {"kind": "constant"}, "duration_s": 25.0, "rate_hz": 100.0}, "still")
     measured = bench.measure(flown, {"grade": "ideal"}, 1, switched._FAULTS)
     assert switched.true_bias(measured, measured.samples.t[500:]) == pytest.approx(switched.BIAS, abs=1e-6)
-    said = bench.measure(flown, {"grade": "chr_6dm"}, 1, switched._FAULTS)
-    assert np.abs(switched.true_bias(said, said.samples.t[500:]) - switched.BIAS).max() > 1e-3
+    low_cost = bench.measure(flown, {"grade": "chr_6dm"}, 1, switched._FAULTS)
+    assert np.abs(switched.true_bias(low_cost, low_cost.samples.t[500:]) - switched.BIAS).max() > 1e-3
 
 
 def test_what_is_taken_from_the_accelerometer():

@@ -124,7 +124,7 @@ def test_reproduction():
     result = papers.run("emitter", quick=True)
     flown = [claim.what for claim in result.claims if claim.what.startswith("Flown at 270 m/s")]
     errors = [float(what.split("RMS ")[1].split()[0]) for what in flown]
-    assert len(errors) == 5 and errors[0] > 3 * errors[1], "the paper's filter believes the turns before"
+    assert len(errors) == 5 and errors[0] > 3 * errors[1], "the paper's filter trusts the turns before"
     assert max(errors[2:]) < 2.5, "a navigator does not"
     text = result.text()
     assert "Table 1" in text and "Cramer-Rao" in text and all(len(line) < 180 for line in text.splitlines())

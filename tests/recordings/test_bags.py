@@ -275,9 +275,9 @@ def test_a_clock_that_is_off_by_whole_seconds_is_taken_back(tmp_path: Path, movi
     s = samples_of(bag)
     assert set(np.round(s.gnss_t[s.gnss_new] + 0.05, 6)) <= set(np.round(t, 6))
     assert s.gnss_new.sum() >= len(t) - 1
-    told = opened(tmp_path / "a.mcap", "[time]\nvelocity_s = -18.0")
-    assert not any("off the log's clock" in note for note in told.notes)
-    assert samples_of(told).gnss_new.sum() >= len(t) - 1
+    shifted = opened(tmp_path / "a.mcap", "[time]\nvelocity_s = -18.0")
+    assert not any("off the log's clock" in note for note in shifted.notes)
+    assert samples_of(shifted).gnss_new.sum() >= len(t) - 1
 
 
 @pytest.mark.parametrize(

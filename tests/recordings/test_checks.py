@@ -140,10 +140,10 @@ def test_latency_of_gnss_in_flight(gnss: float, delay: float) -> None:
         return
     (line,) = found
     word = "late" if delay > 0 else "early"
-    said, sigma = (float(x) for x in line.split(f"is {word} by ")[1].split(" s:")[0].split(" +- "))
-    assert abs(said - abs(delay)) < 3 * sigma + 0.005
+    reported, sigma = (float(x) for x in line.split(f"is {word} by ")[1].split(" s:")[0].split(" +- "))
+    assert abs(reported - abs(delay)) < 3 * sigma + 0.005
     assert sigma < 0.04
-    assert f"velocity_s = {-math.copysign(said, delay):g}" in line
+    assert f"velocity_s = {-math.copysign(reported, delay):g}" in line
 
 
 def test_latency_of_circles_alone_is_not_claimed() -> None:

@@ -79,9 +79,9 @@ def set_by(size: float, at: float = STEP_AT) -> Any:
 @pytest.mark.parametrize("size", [3600.2, -30.5, 2.0, 1e8])
 def test_a_board_whose_clock_is_set_on_the_way(tmp_path: Path, moving: Motion, size: float) -> None:
     write(tmp_path / "a.mcap", moving, log=late, header=set_by(size))
-    s, said, _ = read(tmp_path / "a.mcap")
+    s, notes, _ = read(tmp_path / "a.mcap")
     check(s, moving)
-    (line,) = said
+    (line,) = notes
     assert f"header stamps of imu, mag, velocity step by {size:+.3f} s at 20.0 s: taken back" in line
 
 
@@ -89,28 +89,28 @@ def test_a_board_that_gets_the_time_on_the_way(tmp_path: Path, moving: Motion) -
     """From the seconds since its boot to those of the calendar: the latter are right."""
     boot = -EPOCH / 1e9 + 100.0
     write(tmp_path / "a.mcap", moving, log=late, header=lambda t: t + np.where(t < STEP_AT, boot, 0.0))
-    s, said, bag = read(tmp_path / "a.mcap")
+    s, notes, bag = read(tmp_path / "a.mcap")
     check(s, moving, 1e-5)
-    assert len(said) == 1
-    assert f"step by {-boot:+.3f} s at 20.0 s" in said[0]
+    assert len(notes) == 1
+    assert f"step by {-boot:+.3f} s at 20.0 s" in notes[0]
     assert not any("another clock" in note for note in bag.notes)
 
 
 def test_a_receiver_that_learns_the_leap_seconds(tmp_path: Path, moving: Motion) -> None:
     write(tmp_path / "a.mcap", moving, log=late, header=lambda t: t + np.where(t < STEP_AT, 3.0, 0.0), of=("vel",))
-    s, said, _ = read(tmp_path / "a.mcap")
+    s, notes, _ = read(tmp_path / "a.mcap")
     check(s, moving)
-    assert len(said) == 1
-    assert "header stamps of velocity step by -3.000 s at 20.0 s" in said[0]
+    assert len(notes) == 1
+    assert "header stamps of velocity step by -3.000 s at 20.0 s" in notes[0]
 
 
 @pytest.mark.parametrize("size", [25.0, 7200.0, -2.0, -15.0])
 def test_a_recorder_whose_clock_is_set_on_the_way(tmp_path: Path, moving: Motion, size: float) -> None:
     write(tmp_path / "a.mcap", moving, log=lambda t: set_by(size)(late(t)))
-    s, said, bag = read(tmp_path / "a.mcap")
+    s, notes, bag = read(tmp_path / "a.mcap")
     check(s, moving)
     assert re.match(r"imu +/imu/data_raw  (99\.9|100\.\d) Hz", bag.notes[0])
-    (line,) = said
+    (line,) = notes
     if size > 0:
         assert re.search(rf"log's times of imu, mag, velocity step by \+{size:.0f}\.00[01] s at 20\.0 s", line)
     else:
@@ -133,10 +133,10 @@ def test_both_clocks_set_back_are_refused(tmp_path: Path, moving: Motion) -> Non
 @pytest.mark.parametrize("zeros_s", [0.5, 15.0])
 def test_stamps_of_zero_before_the_clock_came(tmp_path: Path, moving: Motion, zeros_s: float) -> None:
     write(tmp_path / "a.mcap", moving, log=late, header=lambda t: np.where(t < zeros_s, np.nan, t))
-    s, said, _ = read(tmp_path / "a.mcap")
+    s, notes, _ = read(tmp_path / "a.mcap")
     check(s, moving._replace(**{f: getattr(moving, f)[moving.t >= zeros_s] for f in moving._fields}))
-    assert "imu: without a stamp, left out: " + str(round(zeros_s * 100)) in said
-    assert not any(line.startswith("check:") for line in said)
+    assert "imu: without a stamp, left out: " + str(round(zeros_s * 100)) in notes
+    assert not any(line.startswith("check:") for line in notes)
 
 
 def test_simulation_time(tmp_path: Path, moving: Motion) -> None:
@@ -170,9 +170,9 @@ def stalls(t: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("link", [late, bursts, stalls, lambda t: t * (1 + 1e-4) + 0.5])
 def test_silent_on_jitter_bursts_stalls_and_drift(tmp_path: Path, moving: Motion, link: Any) -> None:
     write(tmp_path / "a.mcap", moving, log=link)
-    s, said, _ = read(tmp_path / "a.mcap")
+    s, notes, _ = read(tmp_path / "a.mcap")
     check(s, moving)
-    assert said == []
+    assert notes == []
 
 
 def test_jitter_of_the_stamps_is_no_gap(tmp_path: Path, moving: Motion) -> None:
@@ -184,8 +184,8 @@ def test_jitter_of_the_stamps_is_no_gap(tmp_path: Path, moving: Motion) -> None:
     for stamp in (jitter, together):
         write(tmp_path / "a.mcap", moving, log=lambda t, s=stamp: np.interp(t, moving.t, s) + 0.001,
               header=lambda t, s=stamp: np.interp(t, moving.t, s))  # fmt: skip
-        s, said, _ = read(tmp_path / "a.mcap")
-        assert said == []
+        s, notes, _ = read(tmp_path / "a.mcap")
+        assert notes == []
         assert len(s) == len(moving.t)
 
 

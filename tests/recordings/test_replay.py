@@ -1,4 +1,4 @@
-"""Replay: the same bytes from a log of ours, honest figures on recordings of others."""
+"""Replay: the same bytes from a log of ours, figures of recordings of others."""
 
 import json
 import re

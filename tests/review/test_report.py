@@ -250,8 +250,8 @@ def test_a_finding_names_no_fault_of_another_suite(traces: FlightTraces) -> None
     trace = traces.estimators["ekf-chr"]
     worst = trace.worst(traces)
     assert worst is not None
-    told = [Event(worst.start, "warning", "fault", f"jamming of {suite}/gnss sets in") for suite in ("chr", "sbg")]
-    assert "chr/gnss" in finding(dataclasses.replace(traces, events=told), trace)
+    reported = [Event(worst.start, "warning", "fault", f"jamming of {suite}/gnss sets in") for suite in ("chr", "sbg")]
+    assert "chr/gnss" in finding(dataclasses.replace(traces, events=reported), trace)
 
 
 def test_a_finding_names_sigma_only_where_there_is_one(traces: FlightTraces) -> None:

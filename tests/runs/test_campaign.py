@@ -315,7 +315,7 @@ def test_knobs(short: Path) -> None:
 
 @pytest.mark.long
 def test_tuning_finds_the_better_setting(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A filter told that rates hardly change lags behind; the search must find that they do."""
+    """A filter set to rates that hardly change lags behind; the search must find that they do."""
     text = short.read_text().replace("duration_s = 24.0", "duration_s = 40.0")
     short.write_text(text + 'noise = "practical"\nrate_noise = 1e-4\n')
     tune = ["--tune", "ekf.rate_noise=1e-4..1", "--metric", "total_rmse_deg", "--json", "--workers", "2"]

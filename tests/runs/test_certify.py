@@ -253,7 +253,7 @@ def _not_met(sheet: certify.Sheet) -> set[str]:
 
 @pytest.mark.long
 def test_the_ideal_suite_passes_where_it_must(sheets: dict[str, certify.Sheet]) -> None:
-    """It has no filter against vibration, and its receiver is believed to the last digit, when spoofed, too."""
+    """It has no filter against vibration, and its receiver is trusted to the last digit, when spoofed, too."""
     assert _not_met(sheets["ins21-ideal"]) <= {"vibration", "spoofing"}
 
 
