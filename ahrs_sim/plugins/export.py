@@ -23,7 +23,7 @@ _PIECES = ("sqrt.c", "double.c", "single.c")  # of NAME.c
 
 
 def method(name: str) -> Any:
-    """The entry of the catalogue.
+    """Look up the entry of the catalogue.
 
     Raises:
         InputError: no such method, or one that is not of the catalogue and has no kernels.
@@ -37,7 +37,7 @@ def method(name: str) -> Any:
 
 
 def parsed(known: Mapping[str, Setting], given: Iterable[str]) -> dict[str, Any]:
-    """Settings from `NAME=VALUE` texts, each of the type of its default; `create` checks them.
+    """Read settings from `NAME=VALUE` texts, each of the type of its default; `create` checks them.
 
     Raises:
         InputError: no `=`, an unknown name, not a number where one is expected.
@@ -188,7 +188,7 @@ _SINGLE = """Single precision: every number of the kernels is a float, in memory
 
 
 def _memory(emitted: Emitted) -> dict[str, str]:
-    """The C of the blocks: declarations, first contents, and what points where."""
+    """Write the C of the blocks: declarations, first contents, and what points where."""
     blocks, images, contents, references, calls = [], [], [], [], []
     for name, block in emitted.blocks.items():
         words = -(-block.size // 8)
@@ -223,7 +223,7 @@ def _words(image: bytes) -> str:
 
 
 def _sensors(sensors: SensorInfo) -> dict[str, str]:
-    """The C of the data sheet: what the caller gives, and what the interface does not have."""
+    """Write the C of the data sheet: what the caller gives, and what the interface does not have."""
     sheet, fit, at = [], [], 0
     for f in dataclasses.fields(sensors):
         values = np.atleast_1d(np.asarray(getattr(sensors, f.name), float))

@@ -172,7 +172,7 @@ class Recursion:
         self._cold: float | None = None
 
     def step(self, truth: Truth) -> tuple[float, float]:
-        """Go on by a block of `STEP_S`; sigma of tilt and heading (rad) at its end."""
+        """Go on by a block of `STEP_S`; return the sigmas of tilt and heading (rad) at its end."""
         C, w, f = _matrices(truth.q_nb), truth.rate_ib_b, truth.accel_b
         still = bool(np.max(np.abs(truth.vel_n)) < STILL_SPEED)
         warmth = self._warmth(truth)
@@ -241,7 +241,7 @@ class Recursion:
     def _measured(
         self, C: np.ndarray, w: np.ndarray, truth: Truth, warmth: float, still: bool
     ) -> Iterator[tuple[np.ndarray, Any]]:
-        """Slopes and variances of what is measured in a step."""
+        """Collect slopes and variances of what is measured in a step."""
         m = self.model
         if still:
             yield from self._standing(C, truth, warmth)
@@ -302,7 +302,7 @@ class Recursion:
         return H
 
     def _field_variance(self) -> np.ndarray:
-        """Variance (3,) of the mean of a step's readings."""
+        """Compute the variance (3,) of the mean of a step's readings."""
         return np.maximum(_white(self.model.mag) / STEP_S, 1e-22)
 
     def _fix(self, C: np.ndarray, w: np.ndarray) -> Iterator[tuple[np.ndarray, Any]]:
@@ -330,7 +330,7 @@ def condition(P: np.ndarray, H: np.ndarray, variance: np.ndarray) -> None:
 
 
 def cross(v: np.ndarray) -> np.ndarray:
-    """Matrix (3, 3) of the cross product: `cross(v) @ x = v x x`."""
+    """Make the matrix (3, 3) of the cross product: `cross(v) @ x = v x x`."""
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
@@ -361,7 +361,7 @@ def _matrices(q: np.ndarray) -> np.ndarray:
 
 
 def along(blocks: Iterator[Truth], suite: Suite, aids: Mapping[str, Sequence[str]], place: Site) -> dict[str, Bound]:
-    """Bounds by name of `aids` along a trajectory that comes in blocks of `STEP_S`."""
+    """Compute the bounds by name of `aids` along a trajectory that comes in blocks of `STEP_S`."""
     recursions = {name: Recursion(Model(suite, sensors), place) for name, sensors in aids.items()}
     times: list[float] = []
     sigmas: dict[str, list[tuple[float, float]]] = {name: [] for name in aids}

@@ -105,7 +105,7 @@ class Standard:
 
     @property
     def runs(self) -> int:
-        """The least number of flights with which a limit can be shown to be met."""
+        """Find the least number of flights with which a limit can be shown to be met."""
         return math.ceil(math.log(1.0 - self.confidence) / math.log(self.quantile) - 1e-9)
 
 
@@ -140,7 +140,7 @@ class Sheet:
 
     @property
     def passed(self) -> bool:
-        """Every requirement is shown to be met."""
+        """Tell whether every requirement is shown to be met."""
         return not self.errors and all(f.result == MET for f in self.findings)
 
 
@@ -346,7 +346,7 @@ def _finding(standard: Standard, requirement: Requirement, rows: Sequence[Mappin
 
 
 def _value(row: Mapping[str, Any], span: str, figure: str) -> float:
-    """The figure of a flight; infinite where the estimator had no attitude for long, or has no such angle."""
+    """Look up the figure of a flight; infinite where the estimator had no attitude for long, or has no such angle."""
     value = row.get(f"{span}.{figure}")
     available = row.get(f"{span}.availability") or 0.0
     return float(value) if value is not None and math.isfinite(value) and available >= AVAILABLE else math.inf

@@ -41,7 +41,7 @@ class Link:
         self.name, self._fd = name, fd
 
     def wait(self, stopped: Callable[[], bool]) -> bool:
-        """Wait until the unit is there; False when `stopped` first."""
+        """Wait until the unit is there; return False when `stopped` first."""
         return not stopped()
 
     def read(self, seconds: float = _POLL_S) -> bytes:
@@ -92,7 +92,7 @@ class Pty(Link):
         os.close(other)
 
     def wait(self, stopped: Callable[[], bool]) -> bool:
-        """Wait until the unit has opened its end; False when `stopped` first."""
+        """Wait until the unit has opened its end; return False when `stopped` first."""
         poll = select.poll()
         poll.register(self._fd, select.POLLIN)
         while any(event & select.POLLHUP for _, event in poll.poll(0)):
@@ -139,7 +139,7 @@ class Tcp(Link):
         super().__init__(f"tcp:{self._server.getsockname()[1]}")
 
     def wait(self, stopped: Callable[[], bool]) -> bool:
-        """Wait until the unit has connected; False when `stopped` first."""
+        """Wait until the unit has connected; return False when `stopped` first."""
         self._server.settimeout(_POLL_S)
         while not stopped():
             with contextlib.suppress(TimeoutError):

@@ -57,7 +57,7 @@ class Autopilot:
         raise NotImplementedError
 
     def wait(self, seconds: float) -> bool:
-        """Wait until the autopilot is there; False after so many seconds without it, or when stopped first."""
+        """Wait until the autopilot is there; return False after so many seconds without it, or when stopped first."""
         raise NotImplementedError
 
     def _step(self, reading: Reading, truth: Truth) -> None:
@@ -148,7 +148,7 @@ class Px4(Autopilot):
         return self._link.name
 
     def wait(self, seconds: float) -> bool:
-        """Wait until PX4 has connected; False after so many seconds without it, or when stopped first."""
+        """Wait until PX4 has connected; return False after so many seconds without it, or when stopped first."""
         until = time.monotonic() + seconds
         return self._link.wait(lambda: self._stopped() or time.monotonic() > until)
 
@@ -169,7 +169,7 @@ class Px4(Autopilot):
             raise LinkLost(f"no HIL_ACTUATOR_CONTROLS for {_SILENT_S:g} s")
 
     def _called(self, t_us: int) -> bool:
-        """Read what has come; whether it calls for the next sample after that of `t_us`."""
+        """Read what has come; tell whether it calls for the next sample after that of `t_us`."""
         called = False
         for name, fields in self._wire.feed(self._link.read(0.0 if self._offset_us is None else _STEP_S)):
             if name == "HIL_ACTUATOR_CONTROLS":
@@ -233,7 +233,7 @@ class ArduPilot(Autopilot):
         return f"udp:{self._servos.getsockname()[1]}"
 
     def wait(self, seconds: float) -> bool:
-        """Wait until servos have come, and MAVLink is connected; False after so many seconds, or when stopped first."""
+        """Wait until servos have come and MAVLink is connected; return False after so many seconds, or when stopped."""
         until = time.monotonic() + seconds
         while self._call is None or self._mavlink is None:
             if self._stopped() or time.monotonic() > until:
@@ -246,7 +246,7 @@ class ArduPilot(Autopilot):
         return True
 
     def _listen(self, seconds: float) -> bool:
-        """Wait for servos; whether they call for a new sample. An old call gets the old sample again."""
+        """Wait for servos; tell whether they call for a new sample. An old call gets the old sample again."""
         self._servos.settimeout(seconds)
         try:
             packet, address = self._servos.recvfrom(4096)

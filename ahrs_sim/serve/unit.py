@@ -70,7 +70,7 @@ class Unit:
         return self._link.name
 
     def wait(self, seconds: float) -> bool:
-        """Wait until the unit is there; False after so many seconds without it, or when stopped first."""
+        """Wait until the unit is there; return False after so many seconds without it, or when stopped first."""
         until = time.monotonic() + seconds
         return self._link.wait(lambda: self._stopped() or time.monotonic() > until)
 

@@ -314,7 +314,7 @@ def test_after_a_long_gap_it_aligns_anew():
 
 @pytest.mark.parametrize("seconds", [1.0, 2.0, 4.0])
 def test_a_short_standing_counts(seconds):
-    """Motion after it ends the alignment at once, with the attitude that it has turned to, and a sigma that covers its error."""
+    """Motion ends the alignment at once, with the attitude it has turned to, and a sigma that covers its error."""
     samples, truth = swinging(25.0)
     first = round(100 * (5.0 - seconds))
     late = Samples(*(getattr(samples, name)[first:] for name in Samples.__slots__))

@@ -1,4 +1,4 @@
-"""What the estimates say of a recording: innovations of the predicted size or not, an aid that is missing, no attitude."""
+"""What estimates report of a recording: innovations of the predicted size or not, an aid missing, no attitude."""
 
 import dataclasses
 import re

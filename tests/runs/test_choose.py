@@ -136,6 +136,7 @@ def test_the_command_ranks_a_better_unit_first(table: Path, capsys: pytest.Captu
 
 
 @pytest.mark.long
+@pytest.mark.exhaustive  # eighty flights; the fast test above ranks two units
 def test_the_ranking_is_the_same_with_other_seeds(tmp_path: Path) -> None:
     from scipy.stats import kendalltau
 
