@@ -15,8 +15,9 @@ from ahrs_sim.errors import CheckError, InputError, nearest
 from ahrs_sim.evaluation import paired
 from ahrs_sim.runs import kept
 from ahrs_sim.runs import pool as flights
-from ahrs_sim.runs.campaign import Plan, put, span
+from ahrs_sim.runs.campaign_plan import Plan
 from ahrs_sim.runs.pool import Pool
+from ahrs_sim.runs.variation import put, span
 from ahrs_sim.scenario import Scenario
 
 DECADE = 10.0

@@ -19,9 +19,10 @@ from ahrs_sim.errors import InputError
 from ahrs_sim.evaluation.bootstrap import interval
 from ahrs_sim.runs import campaign, campaign_report
 from ahrs_sim.runs import pool as runs
-from ahrs_sim.runs.campaign import Plan, Store, Variation, put
+from ahrs_sim.runs.campaign import Plan, Store
 from ahrs_sim.runs.pool import Outcome, Run
 from ahrs_sim.runs.tuning import Knob
+from ahrs_sim.runs.variation import Variation, put
 
 SHORT = """
 seed = 7
