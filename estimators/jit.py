@@ -126,6 +126,10 @@ def _cache(folder: Path) -> type[FunctionCache]:
     class Cache(FunctionCache):
         _impl_class = Implementation
 
+        def save_overload(self, sig: Any, data: Any) -> None:
+            with contextlib.suppress(OSError):  # a full disk, or none to write to: compiled again the next time
+                super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+
     return Cache
 
 
