@@ -201,9 +201,3 @@ def inner(function: Callable[..., Any], forceinline: bool = False) -> Any:
     options: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "error_model": "numpy", "_nrt": False}
     options |= {"forceinline": forceinline, "pipeline_class": _Parts}
     return numba.njit(**options)(function)
-
-
-def linked(function: Callable[..., Any]) -> Any:
-    """Compile a part of kernels as `inner` does, one that may allocate; Python cannot call it."""
-    options: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
-    return numba.njit(**options, pipeline_class=_Parts)(function)

@@ -11,7 +11,7 @@ import numpy as np
 
 from estimators.earth import apart, move
 from estimators.elementary import atan2
-from estimators.jit import linked
+from estimators.jit import njit
 from estimators.navigator.covariance import absorb, nis
 from estimators.navigator.history import CARRIED, WIDTH, keep, recall
 from estimators.navigator.layout import (
@@ -46,7 +46,7 @@ UP = 1.5  # satellites are all above: vertical errors are larger by about that
 LEVEL = math.sqrt(3.0 / (2.0 + UP**2))  # of a data sheet's sigma, the mean over the axes: north and east
 
 
-@linked
+@njit
 def put(work: Any, row: int, column: int, value: float) -> None:
     """Add a term to the slope of measurement `row`."""
     k = work.terms[row]
@@ -54,13 +54,13 @@ def put(work: Any, row: int, column: int, value: float) -> None:
     work.terms[row] = k + 1
 
 
-@linked
+@njit
 def begin(work: Any, row: int, residual: float, variance: float) -> None:
     """A measurement: measured minus predicted, its variance; no slope yet."""
     work.residual[row], work.variance[row], work.terms[row] = residual, variance, 0
 
 
-@linked
+@njit
 def take(model: Any, memory: Any, P: np.ndarray, work: Any, rows: int, out: Any, k: int, first: int) -> None:
     """Take in the measurements of `work`; what surprises too much counts as noisier, as by a heavy-tailed error."""
     surprise = nis(P, work, rows)
@@ -74,7 +74,7 @@ def take(model: Any, memory: Any, P: np.ndarray, work: Any, rows: int, out: Any,
             out.innovation[k, first + i], out.innovation_var[k, first + i] = r, variance
 
 
-@linked
+@njit
 def remember(model: Any, nominal: Any, memory: Any, w: Triple, t: float) -> None:
     """Keep what late measurements are compared with."""
     a, q, now = model.antenna_b, nominal.q, np.empty(WIDTH)
@@ -88,7 +88,7 @@ def remember(model: Any, nominal: Any, memory: Any, w: Triple, t: float) -> None
     keep(memory.history, t, now)
 
 
-@linked
+@njit
 def take_fix(
     model: Any, nominal: Any, memory: Any, P: np.ndarray, work: Any, rows: Any, k: int,
     f_n: Triple, out: Any,
@@ -130,7 +130,7 @@ def take_fix(
             take(model, memory, P, work, 3, out, k, Z_PLACE)
 
 
-@linked
+@njit
 def add_field(model: Any, nominal: Any, batch: Any, C: np.ndarray, field_b: np.ndarray) -> None:
     """Add a reading of the magnetometer (T) to the batch: what it is off, and how that depends on the state."""
     c, u, B = nominal.c, np.empty(3), np.empty(3)
@@ -160,7 +160,7 @@ def add_field(model: Any, nominal: Any, batch: Any, C: np.ndarray, field_b: np.n
     batch.total[FIELDS] += 1.0
 
 
-@linked
+@njit
 def take_field(model: Any, memory: Any, P: np.ndarray, batch: Any, work: Any, t: float, out: Any, k: int) -> None:
     """The mean of the readings of a batch, all three components, unless motion contradicts it."""
     n = batch.total[FIELDS]
@@ -181,7 +181,7 @@ def take_field(model: Any, memory: Any, P: np.ndarray, batch: Any, work: Any, t:
     memory.clock[T_MAG] = t
 
 
-@linked
+@njit
 def take_baseline(model: Any, nominal: Any, memory: Any, P: np.ndarray, work: Any, rows: Any, k: int, out: Any) -> None:
     """Azimuth of the dual antenna's baseline, compared with the yaw kept from the time when it was true."""
     c, C, then = nominal.c, work.C, np.empty(WIDTH)
@@ -208,7 +208,7 @@ def take_baseline(model: Any, nominal: Any, memory: Any, P: np.ndarray, work: An
     take(model, memory, P, work, 1, out, k, Z_BASELINE)
 
 
-@linked
+@njit
 def take_standstill(
     model: Any, nominal: Any, memory: Any, P: np.ndarray, batch: Any, work: Any, t: float, out: Any, k: int
 ) -> None:

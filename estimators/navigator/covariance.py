@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from estimators.elementary import exp
-from estimators.jit import linked, njit
+from estimators.jit import njit
 from estimators.navigator.layout import (
     COUPLED,
     FORCE_VARIANCE,
@@ -69,7 +69,7 @@ def move(model: Any, c: np.ndarray, P: np.ndarray, batch: Any, work: Any) -> Non
         P[i, i] += model.walk[i] * seconds
 
 
-@linked
+@njit
 def nis(P: np.ndarray, work: Any, rows: int) -> float:
     """Normalised innovation squared of the `rows` (at most 3) measurements in `work`, per degree of freedom."""
     S, at, by = work.S, work.at, work.by
@@ -125,7 +125,7 @@ def absorb(P: np.ndarray, work: Any, row: int) -> tuple[float, float]:
     return r, variance
 
 
-@linked
+@njit
 def note_number(tape: Any, work: Any, row: int, innovation: float, variance: float) -> None:
     """Put the number that was just taken in on the tape."""
     n = tape.used[1]

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimators.earth import move
-from estimators.jit import linked
+from estimators.jit import njit
 from estimators.rotations import wrap
 
 SLOTS = 256  # rows: more than a second at 200 Hz
@@ -32,7 +32,7 @@ class History(NamedTuple):
         return cls(np.full(1, -1, np.int64), np.full(SLOTS, np.nan), np.full((SLOTS, WIDTH), np.nan))
 
 
-@linked
+@njit
 def keep(history: Any, t: float, values: np.ndarray) -> None:
     """Put the values (WIDTH,) of time t in; times must rise."""
     slot = (history.newest[0] + 1) % SLOTS
@@ -41,7 +41,7 @@ def keep(history: Any, t: float, values: np.ndarray) -> None:
         history.values[slot, i] = values[i]
 
 
-@linked
+@njit
 def recall(history: Any, t: float, out: np.ndarray) -> bool:
     """`out` (WIDTH,) = values at time t, straight between rows, the newest if t is later; False when t is too old."""
     late = history.newest[0]
@@ -67,7 +67,7 @@ def recall(history: Any, t: float, out: np.ndarray) -> bool:
     return False
 
 
-@linked
+@njit
 def correct(history: Any, t: float, dx: np.ndarray) -> None:
     """Correct what was kept before t by the error dx of now: the same velocity and turn, the place less tau d v.
 

@@ -14,7 +14,7 @@ from estimators.alignment import MEAN_RATE
 from estimators.earth import frame_rates
 from estimators.earth import move as moved
 from estimators.elementary import ceil
-from estimators.jit import linked, njit
+from estimators.jit import njit
 from estimators.navigator.aids import (
     MAX_FIELD,
     add_field,
@@ -125,7 +125,7 @@ def run(model: Any, carry: Any, work: Any, rows: Any, out: Any, first: int) -> N
         report(model, nominal, P, memory, work, out, k)
 
 
-@linked
+@njit
 def read_inertial(t: float, gyro: np.ndarray, accel: np.ndarray, memory: Any) -> None:
     """Mean rate and force of the step that ends with a row: of its two ends; the last good ones where it has none."""
     good = True
@@ -157,7 +157,7 @@ def read_inertial(t: float, gyro: np.ndarray, accel: np.ndarray, memory: Any) ->
     memory.clock[T_GOOD] = t
 
 
-@linked
+@njit
 def predict(model: Any, carry: Any, work: Any, dt: float, k: int) -> Triple:
     """Move the state to row k; the force there, in navigation axes (m/s2)."""
     nominal, batch, memory = carry.nominal, carry.batch, carry.memory
@@ -195,7 +195,7 @@ def predict(model: Any, carry: Any, work: Any, dt: float, k: int) -> Triple:
     return f_n
 
 
-@linked
+@njit
 def watch_second(model: Any, c: np.ndarray, memory: Any) -> None:
     """Standstill detector: scatter and mean rate of each second."""
     t, second, seen = memory.clock[T_GOOD], memory.second, memory.seen
@@ -223,7 +223,7 @@ def watch_second(model: Any, c: np.ndarray, memory: Any) -> None:
         seen[IS_STILL] = 0.0
 
 
-@linked
+@njit
 def correct(model: Any, carry: Any, work: Any, rows: Any, k: int, f_n: Triple, out: Any) -> int:
     """End a batch: the covariance, then whatever has been measured; SOUND, or begun ANEW, or LOST and begun anew."""
     nominal, P, batch, memory, dx = carry.nominal, carry.P, carry.batch, carry.memory, work.dx
@@ -262,7 +262,7 @@ def correct(model: Any, carry: Any, work: Any, rows: Any, k: int, f_n: Triple, o
     return LOST
 
 
-@linked
+@njit
 def set_heading(model: Any, carry: Any, dx: np.ndarray, t: float) -> None:
     """Turn to the heading that motion shows; what a wrong one has taught is forgotten, but for place and gyro bias."""
     P, c = carry.P, carry.nominal.c
@@ -277,7 +277,7 @@ def set_heading(model: Any, carry: Any, dx: np.ndarray, t: float) -> None:
     P[PHI + 2, PHI + 2] = sigma * sigma
 
 
-@linked
+@njit
 def retract(nominal: Any, dx: np.ndarray) -> None:
     """Correct the state by the error dx (N,)."""
     q, lla = nominal.q, nominal.lla
@@ -296,7 +296,7 @@ def retract(nominal: Any, dx: np.ndarray) -> None:
                 nominal.c[at + i + j] += dx[at + i + j] + x * dx[at + j] + y * dx[at + 3 + j] + z * dx[at + 6 + j]
 
 
-@linked
+@njit
 def healthy(nominal: Any, P: np.ndarray) -> bool:
     """Whether all states are finite and no variance is negative or infinite."""
     total = 0.0
@@ -319,7 +319,7 @@ def store(nominal: Any, safe: np.ndarray) -> None:
     safe[10:] = nominal.c
 
 
-@linked
+@njit
 def recover(nominal: Any, safe: np.ndarray) -> None:
     """The state = `safe`."""
     nominal.q[:] = safe[0:4]
@@ -328,7 +328,7 @@ def recover(nominal: Any, safe: np.ndarray) -> None:
     nominal.c[:] = safe[10:]
 
 
-@linked
+@njit
 def report(model: Any, nominal: Any, P: np.ndarray, memory: Any, work: Any, out: Any, k: int) -> None:
     """Row k of estimates from the state, turned and moved on to the time of the stamp."""
     c, C, q, ahead = nominal.c, work.C, (nominal.q[0], nominal.q[1], nominal.q[2], nominal.q[3]), model.accel_delay
@@ -367,7 +367,7 @@ def report(model: Any, nominal: Any, P: np.ndarray, memory: Any, work: Any, out:
     out.adaptation[k, 2] = memory.turned[REFUSED]
 
 
-@linked
+@njit
 def is_field(field_b: np.ndarray) -> bool:
     """Whether a reading (T) can be one; zero on all axes is a dead sensor."""
     size = abs(field_b[0]) + abs(field_b[1]) + abs(field_b[2])

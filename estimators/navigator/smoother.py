@@ -21,7 +21,7 @@ import numpy as np
 
 from estimators.alignment import pieces
 from estimators.earth import move as moved
-from estimators.jit import linked, njit
+from estimators.jit import njit
 from estimators.navigator.layout import (
     ACCEL_BIAS,
     COUPLED,
@@ -83,7 +83,7 @@ def backwards(tape: Any, behind: Any, out: Any, scratch: np.ndarray) -> None:
         over_motion(lam, L, tape.F[b], tape.keep[b], scratch)
 
 
-@linked
+@njit
 def conclude_batch(
     P: np.ndarray, lam: np.ndarray, L: np.ndarray, delta: np.ndarray, cov: np.ndarray, bias_var: np.ndarray,
     scratch: np.ndarray,
@@ -127,7 +127,7 @@ def conclude_batch(
         bias_var[a], bias_var[3 + a] = total, other
 
 
-@linked
+@njit
 def over_number(
     lam: np.ndarray, L: np.ndarray, slope: np.ndarray, gain: np.ndarray, innovation: np.ndarray, u: np.ndarray
 ) -> None:
@@ -155,7 +155,7 @@ def over_number(
                     L[i, j] -= u[i] * slope[j]
 
 
-@linked
+@njit
 def over_motion(lam: np.ndarray, L: np.ndarray, F: np.ndarray, keep: np.ndarray, scratch: np.ndarray) -> None:
     """Back over the motion of a batch: F for the moving components, `keep` for the others."""
     T = scratch  # (N, N) = L F

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from estimators.earth import GRAVITY_GRADIENT, frame_rates, move
-from estimators.jit import linked
+from estimators.jit import njit
 from estimators.navigator.layout import (
     ACCEL_BIAS,
     ACCEL_MATRIX,
@@ -28,7 +28,7 @@ from estimators.rotations import attitude_matrix, nav_vector, turn_nav, turned
 Triple = Any  # a tuple of three: it stays in registers
 
 
-@linked
+@njit
 def calibrated(c: np.ndarray, matrix: int, x: float, y: float, z: float) -> Triple:
     """`(I + M)^-1 (x, y, z)` of the matrix at an offset, to third order in M."""
     u, v, w = x, y, z
@@ -41,7 +41,7 @@ def calibrated(c: np.ndarray, matrix: int, x: float, y: float, z: float) -> Trip
     return u, v, w
 
 
-@linked
+@njit
 def true_rate(c: np.ndarray, gyro: np.ndarray) -> Triple:
     """Angular rate (rad/s) of a gyro reading."""
     x = gyro[0] - c[GYRO_BIAS] - c[GYRO_FAST] - c[GYRO_SLOW]
@@ -50,14 +50,14 @@ def true_rate(c: np.ndarray, gyro: np.ndarray) -> Triple:
     return calibrated(c, GYRO_MATRIX, x, y, z)
 
 
-@linked
+@njit
 def true_force(c: np.ndarray, accel: np.ndarray) -> Triple:
     """Specific force (m/s2) of an accelerometer reading."""
     x, y, z = accel[0] - c[ACCEL_BIAS], accel[1] - c[ACCEL_BIAS + 1], accel[2] - c[ACCEL_BIAS + 2]
     return calibrated(c, ACCEL_MATRIX, x, y, z)
 
 
-@linked
+@njit
 def advance(model: Any, nominal: Any, batch: Any, C: np.ndarray, w: Triple, f: Triple, dt: float) -> Triple:
     """Move the state by dt with rate w and force f, and the batch's transition; the force in navigation axes."""
     q, v, lla = nominal.q, nominal.v, nominal.lla
@@ -80,7 +80,7 @@ def advance(model: Any, nominal: Any, batch: Any, C: np.ndarray, w: Triple, f: T
     return f_n
 
 
-@linked
+@njit
 def transition(F: np.ndarray, C: np.ndarray, c: np.ndarray, w: Triple, f: Triple, f_n: Triple, dt: float) -> None:
     """`F` = transition of dt times F; C = C_bn(half-way)."""
     for k in range(COUPLED):
