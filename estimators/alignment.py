@@ -69,7 +69,7 @@ AIDED_TILT, AIDED_HEADING = math.radians(5.0), math.radians(12.0)  # of a start 
 
 
 class Alignment(Record):
-    """What a stationary stretch says (or, coarse, the last second before it was given up)."""
+    """Holds the averages of a stationary stretch (coarse: of the last second before the wait ended)."""
 
     still: Flag
     moving: Flag  # at its end: it never stood, or has set off since
@@ -109,7 +109,7 @@ class Moments(Record):
 
 
 class Stretch(Record):
-    """What the alignment keeps from row to row; times are NaN before the first."""
+    """Holds the alignment's memory from row to row; times are NaN before the first."""
 
     began_t: Number  # s, first row of all
     stretch_t: Number  # s, begin of the stationary stretch
@@ -208,7 +208,7 @@ def _watch(aids: Aids, row: Sample) -> None:
 
 @inner
 def _is_moving(aids: Aids) -> bool:
-    """Whether GNSS, or without it the airspeed, says that nothing stands: smooth flight scatters as little."""
+    """Tell from GNSS speed, or else airspeed, that the vehicle moves: smooth flight scatters as little as standing."""
     v = aids.vel1_n
     moving: bool = aids.speed1 > FLYING
     if math.isfinite(aids.vel1_t):
@@ -218,7 +218,7 @@ def _is_moving(aids: Aids) -> bool:
 
 @inner
 def _turn_is_bias(s: Stretch) -> bool:
-    """Whether the field stays where it is while the gyro says that it turns by several degrees a second."""
+    """Tell that the gyro's rate is a bias: the field stays where it is while several degrees a second are reported."""
     m, b = s.second, s.before
     if m.fields < 1.0:
         return False
@@ -233,7 +233,7 @@ def _turn_is_bias(s: Stretch) -> bool:
 
 @inner
 def _second_is_still(s: Stretch, gyro_limit: float, accel_limit: float, gravity: float) -> bool:
-    """Whether noise explains the scatter, a bias the rate, and gravity the force."""
+    """Tell that a second is still: noise explains the scatter, a bias the rate, and gravity the force."""
     m = s.second
     n = m.samples
     if n < 2.0 or _is_moving(s.aids):

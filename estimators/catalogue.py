@@ -52,12 +52,12 @@ class Method:
 
     @property
     def installed(self) -> bool:
-        """Whether the package that it needs is there."""
+        """Tell whether the package that the method needs is installed."""
         return not self.package or find_spec(self.package) is not None
 
     @cached_property
     def settings(self) -> Mapping[str, Setting]:
-        """All settings with their defaults: how to estimate, then the model's, then the filter's."""
+        """Return all settings with their defaults: the method's, then the model's, then the filter's."""
         if self.given is not None:
             return self.given
         known: dict[str, Setting] = {}

@@ -24,7 +24,7 @@ _KEPT = ("clock", "u", "z", "used", "trust")
 
 
 class Estimator(Protocol):
-    """What the catalogue makes. A user's own class needs `process` only."""
+    """Describes the estimators that the catalogue makes; a user's own class needs `process` only."""
 
     def process(self, samples: Samples) -> Estimates:
         """One row of estimates for each row of samples; any block length gives the same numbers."""

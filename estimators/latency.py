@@ -54,7 +54,7 @@ def _move(row: Sample, answer: Estimate, delay: float, gravity: float) -> None:
 
 @inner
 def is_late(sensors: Sheet) -> bool:
-    """Whether any value is old when it is stamped."""
+    """Tell whether any value is older than its stamp."""
     return sensors.gyro_delay != 0.0 or sensors.accel_delay != 0.0 or sensors.mag_delay != 0.0  # type: ignore[no-any-return]
 
 

@@ -102,7 +102,7 @@ def condition(
 
 @njit
 def healthy(raw: int, x: np.ndarray, n: int, P: np.ndarray) -> bool:
-    """Whether all of `raw` states are finite and all of n variances finite and positive."""
+    """Tell whether all `raw` states are finite and all n variances finite and positive."""
     total = 0.0
     for i in range(raw):
         total += x[i] * 0.0  # NaN when any is infinite or NaN

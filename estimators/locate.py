@@ -26,7 +26,7 @@ _RUNNING, _COASTING, _DIVERGED = int(Status.RUNNING), int(Status.COASTING), int(
 
 @dataclass(frozen=True, slots=True)
 class Looks(Columns):
-    """What the interferometer and the navigation say, one row per look; a phase or rate that is missing is NaN."""
+    """Holds interferometer and navigation measurements, one row per look; a missing phase or rate is NaN."""
 
     t: np.ndarray = column()  # (n,) s
     position: np.ndarray = column(2)  # (n, 2) m, of the aircraft
@@ -39,7 +39,7 @@ class Looks(Columns):
 
 @dataclass(frozen=True, slots=True)
 class Fixes(Columns):
-    """Where the emitter is, one row per look; NaN before the first fix."""
+    """Holds the emitter's position, one row per look; NaN before the first fix."""
 
     t: np.ndarray = column()  # (n,) s
     status: np.ndarray = column(dtype=np.uint8)  # (n,) `Status`
@@ -62,7 +62,7 @@ class _Out(NamedTuple):
 
 
 class _Track(NamedTuple):
-    """What goes on from look to look beside the bank."""
+    """Carries what the locator keeps from look to look beside the bank of filters."""
 
     clock: np.ndarray  # (1,) s, last look
     last: np.ndarray  # (2,) m, last fix

@@ -185,7 +185,7 @@ def _spoil(made: np.ndarray) -> None:
 
 
 def same_integers(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two records of a dtype agree in all integers and flags: sizes, offsets, choices."""
+    """Tell whether two records of a dtype agree in all integers and flags: sizes, offsets, choices."""
     for name in one.dtype.names or ():
         a, b = one[name], other[name]
         if not (same_integers(a, b) if a.dtype.names else a.dtype.kind == "f" or bool((a == b).all())):

@@ -7,11 +7,11 @@ MAX_RATE, MAX_FORCE, MAX_FIELD, MAX_SPEED = 100.0, 2000.0, 0.01, 2000.0  # rad/s
 
 @njit(forceinline=True)
 def plausible(value: float, limit: float) -> bool:
-    """Whether it is a number within the limit."""
+    """Tell whether a value is finite and within the limit."""
     return abs(value) < limit  # False for NaN
 
 
 @njit(forceinline=True)
 def on_earth(latitude: float, longitude: float, height: float) -> bool:
-    """Whether it is a place near the Earth (rad, rad, m): an angle of any size would be one after wrapping."""
+    """Tell whether a position is near the Earth (rad, rad, m); angles must not need wrapping."""
     return abs(latitude) < 1.58 and abs(longitude) < 6.3 and abs(height) < 1e6  # False for NaN

@@ -57,7 +57,7 @@ class Setting:
 
 
 def checked(where: str, known: Mapping[str, Setting], given: Mapping[str, Any]) -> dict[str, Any]:
-    """All settings: the given ones checked, the others at their defaults.
+    """Return all settings: the given ones checked, the others at their defaults.
 
     Raises:
         SettingError: an unknown name (with the nearest known one) or an impossible value.

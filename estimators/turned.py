@@ -16,13 +16,10 @@ Only accelerations above MANOEUVRE count; what is older is forgotten, and withou
 """
 
 import math
-from typing import Annotated
-
-import numpy as np
 
 from estimators.elementary import atan2, cos, exp, sin
 from estimators.jit import inner, njit
-from estimators.native import Record, shaped
+from estimators.native import Number, Record
 from estimators.rotations import wrap
 
 MANOEUVRE = 1.0  # m/s2
@@ -38,86 +35,104 @@ BACK = 0.4  # of `off`: the field fits
 NOTES = {2: ("magnetometer given up: motion contradicts its heading", "magnetometer used again")}
 """What a column of `Estimates.adaptation` means when it becomes 1, and 0 again."""
 
-TURN, COS, SIN, V_NORTH, V_EAST, FIX_T, FIX_NORTH, FIX_EAST, FIX_I_NORTH, FIX_I_EAST = range(10)
-ALONG, ACROSS, OWN2, GIVEN2, TIME2, SEEN_T, FIELD_T, WRONG_S, RIGHT_S, REFUSED, BEFORE, RIGHT_T, SIZE = range(10, 23)
-
 
 class Turned(Record):
-    """Its memory; see the indices above."""
+    """Holds what the fixes and the inertial sensors have shown; times are NaN before the first."""
 
-    s: Annotated[np.ndarray, shaped(SIZE)]
+    turn: Number  # rad, by which the filter has turned its heading
+    cos: Number  # of it
+    sin: Number
+    v_north: Number  # m/s, integral of the acceleration, in axes that no measurement turns
+    v_east: Number
+    fix_t: Number  # s, the fix that the next is compared with
+    fix_north: Number  # m/s, its velocity
+    fix_east: Number
+    fix_own_north: Number  # m/s, the integral of then
+    fix_own_east: Number
+    along: Number  # (m/s)^2, sum d_i . d_g
+    across: Number  # (m/s)^2, sum d_i x d_g
+    own2: Number  # (m/s)^2, sum |d_i|^2
+    given2: Number  # (m/s)^2, sum |d_g|^2
+    time2: Number  # s2, sum of the squared times between fixes
+    seen_t: Number  # s, the last manoeuvre
+    field_t: Number  # s, the last field
+    wrong_s: Number  # s, for which the field has contradicted the motion
+    right_s: Number  # s, for which a field given up has fitted
+    refused: Number  # 1: the field is given up
+    before: Number  # `refused` at the last look
+    right_t: Number  # s, when the filter's heading last fitted
 
 
 @njit
-def begin(s: np.ndarray) -> None:
-    """Nothing seen yet."""
-    for i in range(SIZE):
-        s[i] = 0.0
-    s[COS] = 1.0
-    s[FIX_T] = s[SEEN_T] = s[FIELD_T] = s[RIGHT_T] = math.nan
+def begin(s: Turned) -> None:
+    """Begin with nothing seen."""
+    s.turn = s.sin = s.v_north = s.v_east = s.fix_north = s.fix_east = s.fix_own_north = s.fix_own_east = 0.0
+    s.along = s.across = s.own2 = s.given2 = s.time2 = s.wrong_s = s.right_s = s.refused = s.before = 0.0
+    s.cos = 1.0
+    s.fix_t = s.seen_t = s.field_t = s.right_t = math.nan
 
 
 @inner
-def note_correction(s: np.ndarray, angle: float) -> None:
-    """A filter has turned its heading by an angle (rad)."""
+def note_correction(s: Turned, angle: float) -> None:
+    """Note that the filter has turned its heading by an angle (rad)."""
     if angle != 0.0:
-        s[TURN] += angle
-        s[COS], s[SIN] = cos(s[TURN]), sin(s[TURN])
+        s.turn += angle
+        s.cos, s.sin = cos(s.turn), sin(s.turn)
 
 
 @inner
-def note_force(s: np.ndarray, north: float, east: float, dt: float) -> None:
+def note_force(s: Turned, north: float, east: float, dt: float) -> None:
     """Integrate an acceleration (m/s2) in the filter's axes over dt (s)."""
-    s[V_NORTH] += (s[COS] * north + s[SIN] * east) * dt
-    s[V_EAST] += (s[COS] * east - s[SIN] * north) * dt
+    s.v_north += (s.cos * north + s.sin * east) * dt
+    s.v_east += (s.cos * east - s.sin * north) * dt
 
 
 @inner
-def carried(s: np.ndarray, north: float, east: float) -> tuple[float, float]:
-    """The integral (m/s), north and east by the gyro alone, with the swing of the antenna, in the filter's axes."""
-    return s[V_NORTH] + s[COS] * north + s[SIN] * east, s[V_EAST] + s[COS] * east - s[SIN] * north
+def carried(s: Turned, north: float, east: float) -> tuple[float, float]:
+    """Return the integral (m/s), north and east by the gyro alone plus the antenna's swing, in the filter's axes."""
+    return s.v_north + s.cos * north + s.sin * east, s.v_east + s.cos * east - s.sin * north
 
 
 @inner
-def note_fix(s: np.ndarray, t: float, north: float, east: float, own_north: float, own_east: float) -> None:
-    """A velocity (m/s) that was true at t (s), and the integral of then."""
-    dt = t - s[FIX_T]
+def note_fix(s: Turned, t: float, north: float, east: float, own_north: float, own_east: float) -> None:
+    """Note a velocity (m/s) that was true at t (s), and the integral of then."""
+    dt = t - s.fix_t
     if LEAST <= dt <= MOST:
-        a, b, x, y = own_north - s[FIX_I_NORTH], own_east - s[FIX_I_EAST], north - s[FIX_NORTH], east - s[FIX_EAST]
+        a, b, x, y = own_north - s.fix_own_north, own_east - s.fix_own_east, north - s.fix_north, east - s.fix_east
         left = exp(-dt / MEMORY)
-        for i in range(ALONG, TIME2 + 1):
-            s[i] *= left
+        s.along, s.across, s.own2 = left * s.along, left * s.across, left * s.own2
+        s.given2, s.time2 = left * s.given2, left * s.time2
         if a * a + b * b > (MANOEUVRE * dt) ** 2:
-            s[ALONG] += a * x + b * y
-            s[ACROSS] += a * y - b * x
-            s[OWN2] += a * a + b * b
-            s[GIVEN2] += x * x + y * y
-            s[TIME2] += dt * dt
-            s[SEEN_T] = t
+            s.along += a * x + b * y
+            s.across += a * y - b * x
+            s.own2 += a * a + b * b
+            s.given2 += x * x + y * y
+            s.time2 += dt * dt
+            s.seen_t = t
     if not 0.0 <= dt < LEAST:
-        s[FIX_T], s[FIX_NORTH], s[FIX_EAST], s[FIX_I_NORTH], s[FIX_I_EAST] = t, north, east, own_north, own_east
+        s.fix_t, s.fix_north, s.fix_east, s.fix_own_north, s.fix_own_east = t, north, east, own_north, own_east
 
 
 @inner
-def turned_by(s: np.ndarray, t: float, velocity: float) -> tuple[float, float]:
-    """How far the filter's heading is off at t (s), and the sigma of that (rad); infinite when nothing tells.
+def turned_by(s: Turned, t: float, velocity: float) -> tuple[float, float]:
+    """Return how far the filter's heading is off at t (s), and the sigma of that (rad); infinite when nothing tells.
 
     Args:
         s: memory.
         t: s.
         velocity: m/s, sigma of the receiver's velocity.
     """
-    explained = s[ALONG] * s[ALONG] + s[ACROSS] * s[ACROSS]
-    if not (s[OWN2] > 0.0 and explained > FIT * s[OWN2] * s[GIVEN2]):
+    explained = s.along * s.along + s.across * s.across
+    if not (s.own2 > 0.0 and explained > FIT * s.own2 * s.given2):
         return 0.0, math.inf
-    variance = 2.0 * velocity * velocity / s[OWN2] + FORCE * FORCE * s[TIME2] / s[OWN2]
-    age = DRIFT * (t - s[SEEN_T])
-    return wrap(atan2(s[ACROSS], s[ALONG]) - s[TURN]), math.sqrt(variance + age * age)
+    variance = 2.0 * velocity * velocity / s.own2 + FORCE * FORCE * s.time2 / s.own2
+    age = DRIFT * (t - s.seen_t)
+    return wrap(atan2(s.across, s.along) - s.turn), math.sqrt(variance + age * age)
 
 
 @inner
-def refuse_field(s: np.ndarray, t: float, innovation: float, velocity: float, off: float) -> bool:
-    """Whether the field is given up at t (s).
+def refuse_field(s: Turned, t: float, innovation: float, velocity: float, off: float) -> bool:
+    """Tell whether the field is given up at t (s).
 
     Args:
         s: memory.
@@ -126,23 +141,23 @@ def refuse_field(s: np.ndarray, t: float, innovation: float, velocity: float, of
         velocity: m/s, sigma of the receiver's velocity.
         off: rad, beyond which it contradicts the motion.
     """
-    dt = min(t - s[FIELD_T], MOST) if s[FIELD_T] <= t else 0.0
-    s[FIELD_T] = t
+    dt = min(t - s.field_t, MOST) if s.field_t <= t else 0.0
+    s.field_t = t
     turn, sigma = turned_by(s, t, velocity)
     wrong = abs(wrap(innovation - turn)) if sigma < SURE else abs(innovation)
-    if s[REFUSED] == 0.0:
+    if s.refused == 0.0:
         contradicts = sigma < SURE and wrong > max(off, 4.0 * sigma)
-        s[WRONG_S] = max(s[WRONG_S] + dt * (min(wrong / off, GROSS) if contradicts else -0.25), 0.0)
-        s[REFUSED], s[RIGHT_S] = 1.0 if s[WRONG_S] >= LONG else 0.0, 0.0
+        s.wrong_s = max(s.wrong_s + dt * (min(wrong / off, GROSS) if contradicts else -0.25), 0.0)
+        s.refused, s.right_s = 1.0 if s.wrong_s >= LONG else 0.0, 0.0
     else:
-        s[RIGHT_S] = s[RIGHT_S] + dt if wrong < BACK * off else 0.0
-        s[REFUSED], s[WRONG_S] = 0.0 if s[RIGHT_S] >= AGAIN else 1.0, 0.0
-    return bool(s[REFUSED] == 1.0)
+        s.right_s = s.right_s + dt if wrong < BACK * off else 0.0
+        s.refused, s.wrong_s = 0.0 if s.right_s >= AGAIN else 1.0, 0.0
+    return bool(s.refused == 1.0)
 
 
 @inner
-def is_lost(s: np.ndarray, t: float, blind: bool, velocity: float, off: float) -> bool:
-    """Whether the filter's heading is to be set to what motion shows, its covariance opened before.
+def is_lost(s: Turned, t: float, blind: bool, velocity: float, off: float) -> bool:
+    """Tell whether the filter's heading is to be set to what motion shows, its covariance opened before.
 
     Always when the field has just been given up: what it has taught of hard iron is wrong, whatever the heading.
 
@@ -153,15 +168,15 @@ def is_lost(s: np.ndarray, t: float, blind: bool, velocity: float, off: float) -
         velocity: m/s, sigma of the receiver's velocity.
         off: rad, beyond which the heading contradicts the motion.
     """
-    just = s[REFUSED] > s[BEFORE]
-    s[BEFORE] = s[REFUSED]
-    if not (blind or s[REFUSED] == 1.0):
+    just = s.refused > s.before
+    s.before = s.refused
+    if not (blind or s.refused == 1.0):
         return False
     turn, sigma = turned_by(s, t, velocity)
     if not (sigma < SURE and (just or abs(turn) > max(off, 3.0 * sigma))):
-        s[RIGHT_T] = t
+        s.right_t = t
         return False
-    if not (just or t - s[RIGHT_T] >= LONG):
+    if not (just or t - s.right_t >= LONG):
         return False
-    s[RIGHT_T] = t
+    s.right_t = t
     return True

@@ -70,7 +70,7 @@ def blank(cls: type, n: int) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True, slots=True)
 class Samples(Columns):
-    """What an estimator sees: one row per IMU sample, slower sensors latched with a `*_new` mask.
+    """Holds an estimator's input: one row per IMU sample, slower sensors latched with a `*_new` mask.
 
     A latched value is what was last received at `t`; `*_new` is true on the row at which it arrived. `gnss_t` and
     `heading_t` say when the value was true (latency), the IMU's own delays are in `SensorInfo`.
@@ -134,7 +134,7 @@ class Samples(Columns):
 
 
 class Status(IntEnum):
-    """What an estimate is worth."""
+    """Flags the quality of an estimate."""
 
     ALIGNING = 0  # no attitude yet: the columns are NaN
     RUNNING = 1
@@ -144,7 +144,7 @@ class Status(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Estimates(Columns):
-    """What an estimator says: one row per row of `Samples`, the same however they are cut into blocks.
+    """Holds an estimator's output: one row per row of `Samples`, the same however they are cut into blocks.
 
     What a method does not estimate is NaN, never zero; so is everything while it is aligning.
 
@@ -188,7 +188,7 @@ class Estimates(Columns):
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """Where and when, known to any navigator: the fields that a filter takes as given.
+    """Holds place and date, known to any navigator: the gravity and field that a filter takes as given.
 
     Attributes:
         lla: rad, rad, m: latitude, longitude and ellipsoidal height where the flight starts.
@@ -203,7 +203,7 @@ class Site:
 
 @dataclass(frozen=True, slots=True)
 class SensorInfo:
-    """What the data sheets say of the sensors behind a stream: one sigma, SI. A filter may use these and no more.
+    """Holds the data-sheet figures of the sensors behind a stream: one sigma, SI. A filter may use these and no more.
 
     Attributes:
         rate: Hz, nominal.

@@ -39,7 +39,7 @@ KEPT = 8 * TRUST
 
 
 class Trust(Record, size=KEPT):
-    """What every policy keeps first: how far each sensor was trusted last.
+    """Holds what every policy keeps first: the last weight of each sensor.
 
     1 as far as the model says, 0.1 with ten times the variance, 0 not at all, NaN never seen. The first four go into
     the estimates (`adaptation`).

@@ -35,7 +35,7 @@ class Parameters(Record):
 
 
 class Trust(Record, size=KEPT):
-    """What is kept of each sensor."""
+    """Holds the memory of the policy for each sensor."""
 
     trusted: Sensors
     factor: Sensors  # on R; 0: none yet

@@ -34,7 +34,7 @@ class Parameters(Record):
 
 
 class Trust(Record, size=KEPT):
-    """What is kept of each sensor."""
+    """Holds the memory of the policy for each sensor."""
 
     trusted: Sensors
     since: Sensors  # s, refused since (0: not)

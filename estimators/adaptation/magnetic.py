@@ -49,7 +49,7 @@ class Parameters(Record):
 
 
 class Trust(Record, size=KEPT):
-    """What is kept. Times are a second later than they are, so that 0 is free."""
+    """Holds the memory of the policy. Times are stored one second late, so that 0 means "never"."""
 
     trusted: Sensors
     since: Number  # s, refused since (0: not)

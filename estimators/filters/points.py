@@ -32,7 +32,7 @@ USES = (
 
 
 class Parameters(Record):
-    """What tells one of these filters from another."""
+    """Holds the parameters that distinguish these sigma-point filters."""
 
     growth: Number  # h^2 = growth n + interval2, n the components of the state
     interval2: Number

@@ -17,7 +17,7 @@ Many = Annotated[np.ndarray, shaped(_POINTS, CAPACITY)]
 
 
 class Carry(Record):
-    """What goes on from row to row: with the model's memory it is the whole state of an estimator."""
+    """Carries the filter's state from row to row; with the model's memory it is the whole state of an estimator."""
 
     clock: Number  # s, last time stamp; NaN before the first
     x: Vector  # state, `raw` of it used

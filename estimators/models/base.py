@@ -71,7 +71,7 @@ class Group(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """What a model's `layout` returns: its sizes, from its settings."""
+    """Holds the sizes of a model, as its `layout` returns them."""
 
     raw: int  # numbers of the state
     size: int  # components of the error

@@ -125,7 +125,7 @@ def range_sigma(
 
 
 def bearings(k: float, phase: float, alpha: float, coarse: float, coarse_sigma: float) -> np.ndarray:
-    """All bearings that explain a phase, eq. (5), within two sigma of the coarse bearing, eq. (12).
+    """List the bearings that explain a phase, eq. (5), within two sigma of the coarse bearing, eq. (12).
 
     Args:
         k: rad per unit of cosine.
@@ -253,7 +253,7 @@ class State(Record, size=STATE):
 
 
 class Inputs(Record):
-    """Of a look, see above."""
+    """Holds the inputs of one look, see above."""
 
     position: Annotated[np.ndarray, shaped(2)]  # m
     velocity: Annotated[np.ndarray, shaped(2)]  # m/s

@@ -103,7 +103,7 @@ class Inputs(Record, size=STATE):
 
 
 class Memory(Record):
-    """What is kept from row to row; NaN: not yet seen."""
+    """Holds the model's memory from row to row; NaN: not yet seen."""
 
     rate_b: Vector3  # rad/s, last gyro
     accel_b: Vector3  # m/s2, last force
@@ -123,7 +123,7 @@ class Readings(Record, size=STATE):
 
 
 class Used(Record, size=FLAGS):
-    """Which of them count."""
+    """Flags the measurements used in this row."""
 
     place_n: Flags3
     vel_n: Flags3
@@ -162,7 +162,7 @@ def _keep(model: Parameters, t: float, x: State, memory: Memory, u: Inputs, now:
 
 
 def measure(model: Parameters, row: Sample, x: State, memory: Memory, u: Inputs, z: Readings, used: Used) -> int:
-    """What the number of satellites allows; COASTING a while after the last fix or heading."""
+    """Select what the number of satellites allows; COASTING a while after the last fix or heading."""
     now, then = local(WIDTH), local(WIDTH)
     _keep(model, row.t, x, memory, u, now)
     used.heading = used.course = False
@@ -322,7 +322,7 @@ def slope(model: Parameters, group: int, x: State, u: Inputs, H: np.ndarray) -> 
 
 
 def measurement_noise(model: Parameters, group: int, x: State, u: Inputs, S: np.ndarray) -> None:
-    """Of the receiver, worse at heights, or of the headings."""
+    """Write the noise of the receiver, larger in height, or of the headings."""
     if group == FIX:
         for i in range(3):
             wide = 2.25 if i == 2 else 1.0

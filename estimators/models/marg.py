@@ -105,7 +105,7 @@ class State(Record, size=STATE):
 
 
 class Inputs(Record, size=STATE):
-    """What is known of the motion."""
+    """Holds the aiding data of one row."""
 
     accel_n: Vector3  # m/s2, a_n
     vel_b: Vector3  # m/s, v_b
@@ -114,7 +114,7 @@ class Inputs(Record, size=STATE):
 
 
 class Memory(Record):
-    """What is kept from row to row; NaN: not yet seen."""
+    """Holds the model's memory from row to row; NaN: not yet seen."""
 
     mag_t: Number  # s, last magnetometer
     aid_t: Number  # s, last airspeed or velocity
@@ -138,7 +138,7 @@ class Readings(Record, size=STATE):
 
 
 class Used(Record, size=FLAGS):
-    """Which of them count."""
+    """Flags the measurements used in this row."""
 
     accel_b: Flags3
     mag_b: Flags3
@@ -266,7 +266,7 @@ def load(model: Parameters, row: Sample, x: State, memory: Memory, u: Inputs) ->
 
 
 def measure(model: Parameters, row: Sample, x: State, memory: Memory, u: Inputs, z: Readings, used: Used) -> int:
-    """All three sensors; COASTING without the gyro, the accelerometer or its aid, and a while without the field."""
+    """Take all sensors; COASTING without the gyro, the accelerometer or its aid, and a while without the field."""
     carried, mag = True, row.mag_new  # by gyro and accelerometer; is the magnetometer there?
     for i in range(3):
         z.accel_b[i], z.mag_b[i], z.gyro_b[i] = row.accel_b[i], row.mag_b[i], row.gyro_b[i]

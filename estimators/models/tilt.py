@@ -67,7 +67,7 @@ class Inputs(Record, size=STATE):
 
 
 class Memory(Record):
-    """What is kept from row to row; NaN: not yet seen."""
+    """Holds the model's memory from row to row; NaN: not yet seen."""
 
     rate_b: Vector3  # rad/s, last gyro
     gyro_t: Number  # s, when it was there
@@ -83,7 +83,7 @@ class Readings(Record, size=STATE):
 
 
 class Used(Record, size=FLAGS):
-    """Which of them count."""
+    """Flags the measurements used in this row."""
 
     down_b: Flags3
 

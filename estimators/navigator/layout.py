@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimators.navigator.history import History
+from estimators.turned import Turned
 
 PHI, VEL, POS = 0, 3, 6
 GYRO_BIAS, GYRO_FAST, GYRO_SLOW, ACCEL_BIAS = 9, 12, 15, 18
@@ -72,7 +73,7 @@ class Answers(NamedTuple):
 
 
 class Parameters(NamedTuple):
-    """What stays the same for a flight."""
+    """Holds the parameters that are constant during a flight."""
 
     gravity: float  # m/s2 at `origin`
     origin: np.ndarray  # (3,) rad, rad, m
@@ -113,7 +114,7 @@ class Nominal(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What goes on from row to row beside the state."""
+    """Carries what is kept from row to row beside the state."""
 
     clock: np.ndarray  # (CLOCKS,) s
     last: np.ndarray  # (2, 3) last good rate and force
@@ -121,7 +122,7 @@ class Memory(NamedTuple):
     step: np.ndarray  # (2, 3) rad/s, m/s2: last changes of rate and force
     second: np.ndarray  # (2, 6) mean and spread of the present second
     seen: np.ndarray  # (SEEN,)
-    turned: np.ndarray  # (SIZE,) the heading that motion shows, see `turned`
+    turned: Turned  # the heading that motion shows
     history: History
 
 
@@ -130,7 +131,7 @@ GOOD, JERK, SHAKE, COUNT, IS_STILL, WAS_STILL, SPEED, SURPRISE, SEEN = range(9)
 
 
 class Batch(NamedTuple):
-    """What has come together since the covariance was last moved."""
+    """Accumulates the motion since the covariance was last propagated."""
 
     F: np.ndarray  # (MOVING, COUPLED) transition of the moving components; the others keep
     total: np.ndarray  # (TOTALS,)
@@ -144,7 +145,7 @@ GYRO_VARIANCE, FORCE_VARIANCE, SECONDS, FIELDS, TOTALS = range(5)
 
 
 class Tape(NamedTuple):
-    """What a smoother has to know of each batch and of each number that was taken in; see `smoother`."""
+    """Records what the smoother needs of each batch and each measurement; see `smoother`."""
 
     used: np.ndarray  # (2,) int64: batches, numbers
     row: np.ndarray  # (batches,) int64, with which it ended
@@ -160,7 +161,7 @@ class Tape(NamedTuple):
 
     @classmethod
     def make(cls, batches: int) -> "Tape":
-        """For so many batches; 0: nothing is kept."""
+        """Make a tape for a number of batches; 0 keeps nothing."""
         numbers = 16 * batches
         return cls(
             np.zeros(2, np.int64),
@@ -195,7 +196,7 @@ class Work(NamedTuple):
 
     @classmethod
     def make(cls, batches: int = 0) -> "Work":
-        """With room on the tape for so many batches."""
+        """Make the memory, with room on the tape for a number of batches."""
         return cls(
             np.zeros((MOVING, N)),
             np.zeros(N),

@@ -63,7 +63,7 @@ from estimators.navigator.layout import (
 )
 from estimators.navigator.strapdown import Triple, advance, true_force, true_rate
 from estimators.rotations import attitude_matrix, nav_vector, normalise, turn_nav, turned
-from estimators.turned import REFUSED, is_lost, note_correction, note_force, turned_by
+from estimators.turned import is_lost, note_correction, note_force, turned_by
 from estimators.types import MEASUREMENTS, Status
 
 BATCH_S = 0.1
@@ -298,7 +298,7 @@ def retract(nominal: Any, dx: np.ndarray) -> None:
 
 @njit
 def healthy(nominal: Any, P: np.ndarray) -> bool:
-    """Whether all states are finite and no variance is negative or infinite."""
+    """Tell whether all states are finite and no variance is negative or infinite."""
     total = 0.0
     for part in (nominal.q, nominal.v, nominal.lla, nominal.c):
         for i in range(part.shape[0]):
@@ -364,12 +364,12 @@ def report(model: Any, nominal: Any, P: np.ndarray, memory: Any, work: Any, out:
             out.vel_cov[k, i, j], out.pos_cov[k, i, j] = P[VEL + i, VEL + j], P[POS + i, POS + j]
     out.adaptation[k, 0] = memory.seen[IS_STILL]
     out.adaptation[k, 1] = memory.seen[SURPRISE]
-    out.adaptation[k, 2] = memory.turned[REFUSED]
+    out.adaptation[k, 2] = memory.turned.refused
 
 
 @njit
 def is_field(field_b: np.ndarray) -> bool:
-    """Whether a reading (T) can be one; zero on all axes is a dead sensor."""
+    """Tell whether a reading (T) can be a field; zero on all axes is a dead sensor."""
     size = abs(field_b[0]) + abs(field_b[1]) + abs(field_b[2])
     return bool(0.0 < size < 3.0 * MAX_FIELD)
 

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from estimators import native
-from estimators import turned as turned_
 from estimators.alignment import ALIGNING, NO_HEADING, STILL, Alignment, Stretch, align, concluded, limits, pieces
 from estimators.errors import EstimationError, SampleError
 from estimators.jit import JIT, on_disk
-from estimators.native import loaded, passed
+from estimators.native import argument, loaded, passed
 from estimators.navigator.aids import LEVEL, UP, Z_BASELINE, Z_FIELD, Z_PLACE, Z_VELOCITY
 from estimators.navigator.covariance import clear
 from estimators.navigator.history import History
@@ -60,6 +59,7 @@ from estimators.navigator.loop import Carry, run, store, turn_readings
 from estimators.records import pack
 from estimators.rotations import attitude_matrix
 from estimators.run import BACKWARDS
+from estimators.turned import NOTES, Turned, begin
 from estimators.types import Estimates, Samples, SensorInfo, Site, blank
 
 FLICKER = 1.29  # sigma of a Gauss-Markov term one decade wide, over the floor of the Allan deviation
@@ -111,7 +111,7 @@ class Navigator:
     @property
     def notes(self) -> Mapping[int, tuple[str, str]]:
         """Return what is worth an event: by column of `adaptation`, the texts for becoming 1 and 0 again."""
-        return turned_.NOTES
+        return NOTES
 
     def process(self, samples: Samples, work: Work | None = None) -> Estimates:
         """One row of estimates for each row of samples; `work` takes notes for a smoother.
@@ -230,7 +230,7 @@ def _rows(samples: Samples, sensors: SensorInfo) -> Rows:
 
 
 def parameters(settings: Mapping[str, Any], site: Site, sensors: SensorInfo) -> Parameters:
-    """What stays the same for a flight, from settings (see the catalogue), place and data sheet."""
+    """Return the constant parameters of a flight, from settings (see the catalogue), place and data sheet."""
     flicker = FLICKER * sensors.gyro_instability
     gyro = sensors.gyro_noise**2 / 2.0  # single-sided density d: variance d^2/2 per second
     gyro += 2.0 * flicker**2 * 1.1  # the terms of 1 s and 0.1 s
@@ -335,8 +335,8 @@ def start(
         np.zeros((MOVING, COUPLED)), np.zeros(TOTALS), np.zeros(3), np.zeros(2), np.zeros((3, N)), np.zeros(3)
     )
     clear(batch)
-    turned = np.empty(turned_.SIZE)
-    turned_.begin(turned)
+    turned = argument(Turned.zeros())
+    begin(turned)
     seen = np.full(SEEN, np.nan)
     seen[[IS_STILL, WAS_STILL, COUNT, JERK, SHAKE]], seen[GOOD] = 0.0, 1.0
     memory = Memory(

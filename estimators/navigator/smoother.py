@@ -46,7 +46,7 @@ CHUNK = 1000  # rows
 
 
 class Behind(NamedTuple):
-    """What comes from later batches."""
+    """Carries the information from later batches."""
 
     lam: np.ndarray  # (N,) the l above
     L: np.ndarray  # (N, N)
@@ -64,7 +64,7 @@ class Smoothed(NamedTuple):
 
 @njit
 def backwards(tape: Any, behind: Any, out: Any, scratch: np.ndarray) -> None:
-    """All batches of a tape, from its last to its first."""
+    """Smooth all batches of a tape, from its last to its first."""
     lam, L = behind.lam, behind.L
     end = tape.used[1]
     for step in range(tape.used[0]):
@@ -284,7 +284,7 @@ REPORTED = (
 
 
 def _batches(t: np.ndarray) -> int:
-    """How many batches rows of these times may end: one each, and those that bridge gaps."""
+    """Count the batches that rows of these times may end: one each, and those that bridge gaps."""
     return len(t) + MAX_STEPS * (1 + int(np.count_nonzero(np.diff(t) > MAX_STEP)))
 
 

@@ -55,7 +55,7 @@ def watch_second(model: Shared, row: Sample, x: State, memory: Kept, u: Motion) 
 
 @inner
 def change_biases(model: Shared, memory: Kept, u: Motion) -> None:
-    """What misalignment and scale error make of a rate or force acts as a bias while it lasts: new with each change."""
+    """Inflate the bias noise at each change of rate or force: misalignment and scale make a new bias of it."""
     for part in range(2):
         total = 0.0
         for i in range(3 * part, 3 * part + 3):

@@ -14,7 +14,7 @@ from estimators.native import Record, flags, local, vector
 from estimators.past import WIDTH, keep
 from estimators.records import Estimate, Sample
 from estimators.rotations import attitude_matrix, to_nav, wrap, yaw
-from estimators.turned import REFUSED, carried
+from estimators.turned import carried
 from estimators.types import Status
 
 AID_TIMEOUT, MAG_TIMEOUT = 2.0, 2.0  # s
@@ -62,7 +62,7 @@ def _keep(model: Shared, t: float, x: State, memory: Kept, u: Motion) -> None:
         now[i] = x.vel_n[i] + swing[i]
     move(x.lla, lever[0], lever[1], lever[2], now[3:6])
     now[6] = yaw(x.q_nb)
-    now[7], now[8] = carried(memory.turned.s, swing[0], swing[1])
+    now[7], now[8] = carried(memory.turned, swing[0], swing[1])
     for i in range(4):
         memory.q_nb[i] = x.q_nb[i]
     keep(memory.ring, t, now)
@@ -115,4 +115,4 @@ def report(model: Shared, x: State, P: np.ndarray, memory: Any, answer: Estimate
         memory.gnss.vel2[i], memory.gnss.place2[i] = P[V + i, V + i], P[P_ + i, P_ + i]
     answer.adaptation[0] = 1.0 if memory.is_still else 0.0
     answer.adaptation[1] = memory.field.inflation
-    answer.adaptation[2] = memory.turned.s[REFUSED]
+    answer.adaptation[2] = memory.turned.refused

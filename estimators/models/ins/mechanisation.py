@@ -57,7 +57,7 @@ def load(model: Shared, row: Sample, x: State, memory: Kept, u: Motion) -> None:
     north, east, down = acceleration(model, x, u)
     memory.acceleration_n[0], memory.acceleration_n[1], memory.acceleration_n[2] = north, east, down
     note_turned(x, memory)
-    note_force(memory.turned.s, north, east, dt)
+    note_force(memory.turned, north, east, dt)
     u.accel_psd = model.accel_psd + model.accel_noise2 * (north * north + east * east + down * down)
     u.accel_psd += min(model.shake_share * dt * memory.shaky, model.shake_most)
     u.reopened, memory.reopened = (1.0 if memory.reopened else 0.0), False
@@ -87,7 +87,7 @@ def note_turned(x: State, memory: Kept) -> None:
     scalar = q[0] * p[0] + q[1] * p[1] + q[2] * p[2] + q[3] * p[3]
     vertical = q[3] * p[0] - q[0] * p[3] + q[2] * p[1] - q[1] * p[2]
     if vertical != 0.0 and math.isfinite(scalar):
-        note_correction(memory.turned.s, 2.0 * atan2(vertical if scalar > 0.0 else -vertical, abs(scalar)))
+        note_correction(memory.turned, 2.0 * atan2(vertical if scalar > 0.0 else -vertical, abs(scalar)))
 
 
 def propagate(model: Shared, x: State, u: Motion, dt: float, out: State) -> None:

@@ -82,7 +82,7 @@ def build(
     _set_parameters(n, settings, site, sensors, model)
     _set_walks(n, settings, site, sensors, model)
     _configure_aids(settings, site, sensors, model)
-    begin(memory.turned.s)
+    begin(memory.turned)
     memory.reopened = False
     memory.late2 = 0.0
     memory.count = memory.jerky = memory.shaky = 0.0

@@ -42,7 +42,7 @@ class Parameters(Record):
 
 
 class Memory(Record):
-    """When it was used last."""
+    """Holds the time of the last use."""
 
     t: Number  # s
 
@@ -103,7 +103,7 @@ def observe(own: Parameters, model: Shared, x: State, u: Motion, y: np.ndarray) 
 
 @inner
 def slope(own: Parameters, model: Shared, x: State, u: Motion, H: np.ndarray) -> None:
-    """By velocity and wind C_bn, by the attitude C_bn exp(-phi) v = C_bn (v + v x phi)."""
+    """Write the slope: by velocity and wind C_bn, by attitude from C_bn exp(-phi) v = C_bn (v + v x phi)."""
     C, v = local(3, 3), local(3)
     attitude_matrix(x.q_nb, C)
     for i in range(3):

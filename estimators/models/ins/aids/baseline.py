@@ -31,7 +31,7 @@ class Parameters(Record):
 
 
 class Memory(Record):
-    """When it was used last."""
+    """Holds the time of the last use."""
 
     t: Number  # s
 
@@ -77,7 +77,7 @@ def observe(own: Parameters, model: Shared, x: State, u: Motion, y: np.ndarray) 
 
 @inner
 def slope(own: Parameters, model: Shared, x: State, u: Motion, H: np.ndarray) -> None:
-    """How rotations about navigation axes turn the forward axis."""
+    """Write the slope of the baseline's heading by rotations about navigation axes."""
     C = local(3, 3)
     attitude_matrix(x.q_nb, C)
     horizontal2 = C[0, 0] * C[0, 0] + C[0, 1] * C[0, 1]

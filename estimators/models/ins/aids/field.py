@@ -39,7 +39,7 @@ class Parameters(Record):
 
 
 class Memory(Record):
-    """What the last field was worth."""
+    """Holds how the last field reading was weighted."""
 
     inflation: Number  # factor on its variance
 
@@ -100,7 +100,7 @@ def measure(
     kept.inflation = 1.0 + wrong + 0.1 * wrong * wrong
     azimuth = atan2(n[1], n[0])
     innovation = wrap(azimuth - atan2(m[1], m[0]))
-    if refuse_field(memory.turned.s, row.t, innovation, model.velocity, model.realign.off):
+    if refuse_field(memory.turned, row.t, innovation, model.velocity, model.realign.off):
         return
     sigma = own.sigma * norm_n / known
     z.azimuth = azimuth

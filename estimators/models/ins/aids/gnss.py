@@ -73,7 +73,7 @@ class Memory(Record):
 
 
 class Readings(Record):
-    """Of the IMU's place: what the receiver says now, less what the antenna was then."""
+    """Holds the innovation at the IMU: the receiver's fix less the antenna's motion at the time of the fix."""
 
     vel_n: Vector3  # m/s
     place_n: Vector3  # m from the origin
@@ -132,7 +132,7 @@ def measure(
     memory.fixed = used.vel_n[0] != 0
     if complete:
         if agreed:
-            note_fix(memory.turned.s, true_t, row.vel_n[0], row.vel_n[1], then[7], then[8])
+            note_fix(memory.turned, true_t, row.vel_n[0], row.vel_n[1], then[7], then[8])
         v = row.vel_n
         memory.speed = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
         memory.aid_t = memory.fix_t = row.t

@@ -22,7 +22,7 @@ class Parameters(Record):
 
 
 class Memory(Record):
-    """When it was used last."""
+    """Holds the time of the last use."""
 
     t: Number  # s
 

@@ -47,7 +47,7 @@ def measure(
     variance: Readings, used: Any,
 ) -> None:  # fmt: skip
     """Set the heading to what the motion shows when the filter's has contradicted it for a while."""
-    s = memory.turned.s
+    s = memory.turned
     if kept.due:
         kept.due = False
         turn, sigma = turned_by(s, row.t, model.velocity)

@@ -27,13 +27,13 @@ class Parameters(Record):
 
 
 class Memory(Record):
-    """When it was used last."""
+    """Holds the time of the last use."""
 
     t: Number  # s
 
 
 class Readings(Record):
-    """What a standing vehicle has."""
+    """Holds the readings of a stationary vehicle."""
 
     vel_n: Vector3  # m/s
     rate_b: Vector3  # rad/s
