@@ -35,7 +35,7 @@ MANOEUVRE = 1.0  # m/s2, the least acceleration that shows a delay
 SURELY_LATE = 0.08  # s: less may be a bias of the accelerometer, which a turn cannot tell from a delay
 UP = 1.5  # satellites are all above: vertical errors are larger by about that
 JERK = 1.0  # m/s3, of a turn: a delay of a second shows like so much of a bias of the accelerometer
-JUMP = 6.0  # sigma
+JUMP = 12.0  # sigma: a real receiver with more noise than its sheet says stays below, one that lies is far above
 
 SETTINGS = {
     "velocity_share": Setting(1.0, "of the receiver's velocity sigma", above=0.0),
