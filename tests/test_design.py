@@ -9,7 +9,8 @@ ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "docs" / "design.md").read_text()
 PROSE = re.sub(r"```.*?```", "", TEXT, flags=re.DOTALL)
 QUOTED = sorted(set(re.findall(r"`([^`\n]+)`", PROSE)))
-PATHS = [p for folder in ("ahrs_sim", "estimators", "docs") for p in [ROOT / folder, *(ROOT / folder).rglob("*")]]
+FOLDERS = [ROOT / name for name in ("ahrs_sim", "estimators", "docs")]
+PATHS = [*ROOT.glob("*.py"), *(p for folder in FOLDERS for p in [folder, *folder.rglob("*")])]
 SOURCES = "\n".join(p.read_text() for folder in ("ahrs_sim", "estimators") for p in (ROOT / folder).rglob("*.py"))
 
 
