@@ -162,7 +162,7 @@ def flown(seed: int, calibrated: bool, dual: bool) -> list[float]:
     suite = make_suite(what.suites[0], seed=seed, dt=flight.dt, epoch=what.epoch, start_lla=np.array(place.lla))
     chain = Chain(suite, {})
     estimator: Any = estimators.create("ins-cal", site=place, sensors=suite.info, heading_aid=dual)
-    last = f"{'calibrate' if calibrated else 'climb'} ends"
+    last = "(calibrate) ends" if calibrated else "(climb) ends"
     begun, rows, errors, squares = math.inf, [], [], []
     while len(truth := flight.fly(2000)):
         begun = min([begun, *(e.t for e in flight.take_events() if e.text.endswith(last))])
