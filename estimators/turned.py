@@ -102,7 +102,8 @@ def note_fix(s: Turned, t: float, north: float, east: float, own_north: float, o
         left = exp(-dt / MEMORY)
         s.along, s.across, s.own2 = left * s.along, left * s.across, left * s.own2
         s.given2, s.time2 = left * s.given2, left * s.time2
-        if a * a + b * b > (MANOEUVRE * dt) ** 2:
+        least = (MANOEUVRE * dt) ** 2  # both: vibration that the sampling folds down is in one alone
+        if a * a + b * b > least and x * x + y * y > least:
             s.along += a * x + b * y
             s.across += a * y - b * x
             s.own2 += a * a + b * b

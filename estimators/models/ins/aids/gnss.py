@@ -31,7 +31,7 @@ NAME = READS_AS = "gnss"
 ANGLE, REPORTED = False, True
 SPAN = 0.1  # s, over which the acceleration is taken
 LATEST, LEAST_LATE = 0.6, 0.005  # s, the longest delay, and the least sigma of it
-MANOEUVRE = 1.0  # m/s2, the least acceleration that shows a delay: gusts have less, and errors of the attitude in them
+MANOEUVRE = 1.0  # m/s2, the least acceleration that shows a delay
 SETTLED = 20.0  # s, from the first fix: an attitude that was begun in flight looks like a delay until then
 SURELY_LATE = 0.08  # s: less may be a bias of the accelerometer, which a turn cannot tell from a delay
 UP = 1.5  # satellites are all above: vertical errors are larger by about that
