@@ -8,7 +8,7 @@ estimators on it. A figure is the RMS over flights from 80 s on; "worst" is the 
 NIS are means per degree of freedom. The row with an outage counts its 60 s only, all of them in a turn. The peers of
 plain Python are slow: they fly with the first `--peers` seeds only (0: none). The Cramer-Rao bound (`ahrs-sim bound`)
 is that of the first seeds' flights: it depends on the trajectory, not on what is drawn. `--figures FILE` keeps what
-every flight gave, seed by seed.
+every flight gave, seed by seed. `--planted N` flies N seeds of the flights with one planted cause each as well.
 """
 
 import argparse
@@ -100,6 +100,29 @@ ROWS: dict[str, tuple[str, dict[str, Any], tuple[tuple[float, float], ...], tupl
         (0.0, 3.0),
     ),
 }
+
+SHAKEN = {
+    "gyro": {"vibration_band_dps": 2.0},
+    "accelerometer": {"vibration_band_mps2": 3.0, "vibration_line_mps2": 6.0},
+}
+"""About ten times what the grade has of an electric motor."""
+
+# key: what is planted, scenario, changes of the suite, from when on (s)
+PLANTED: dict[str, tuple[str, str, dict[str, Any], float]] = {
+    "none": ("nothing", "short_turns", {}, 45.0),
+    "shaken": (
+        "vibration: gyro 2 deg/s, accelerometer 3 m/s2 in the band, 6 m/s2 of lines",
+        "short_turns",
+        SHAKEN,
+        45.0,
+    ),
+    "mag": ("magnetometer turned by 60 degrees", "mag_turned", {}, 45.0),
+    "wires": ("magnetometer beside the motor's wires", "motor_wires", {}, 45.0),
+    "late": ("fixes 0.3 s late, not declared", "gnss_late", {}, 45.0),
+    "lag": ("velocity behind a filter of 0.3 s", "gnss_lag", {}, 45.0),
+    "hover": ("ten minutes of hover, shaken by rotors", "hover", {}, START),
+}
+PLANTED_ROWS = ("ins21", "cal")
 
 INTRO = """# Accuracy in turns
 
@@ -223,6 +246,41 @@ def bounds_of(data: dict[str, Any], name: str, seed: int, duration: float | None
     return found
 
 
+def planted_flight(key: str, seed: int) -> dict[str, dict[str, Any]]:
+    """Figures of the navigators, low-cost unit, on one flight with a planted cause: `KEY-ROW`."""
+    _, name, changes, low = PLANTED[key]
+    known = scenario.load(name).data
+    known.pop("catalogue", None)
+    suite = dict(known["suite"]["chr"])
+    for instrument, figures in changes.items():
+        suite[instrument] = {**suite.get(instrument, {}), **figures}
+    tables = {f"{key}-{row}": {**ROWS[row][1], "suite": "chr"} for row in PLANTED_ROWS}
+    accuracy = Accuracy(list(tables), with_consistency=True)
+    data = known | {"suite": {"chr": suite}, "estimator": tables}
+    pipeline.fly(scenario.parse(data, name, name, seed=seed), None, accuracy=accuracy)
+    found: dict[str, Any] = accuracy.result(low=low, band_s=1e4)["estimators"]
+    return {name: {m: f[m] for m in ("tilt_rmse_deg", "heading_rmse_deg", "nees", "nis")} for name, f in found.items()}
+
+
+def planted_lines(planted: dict[str, list[dict[str, Any]]]) -> list[str]:
+    """The table of the planted causes, markdown; nothing when none has flown."""
+    flown = {int(seed): flights for seed, flights in planted.items()}
+    if not flown:
+        return []
+    made = [
+        "", "## One cause planted, CHR grade", "",
+        f"Seeds {min(flown)} to {max(flown)}; magnetometer and GNSS; `ahrs-sim list scenarios` has the flights.", "",
+        "| planted | " + " | ".join(f"`{ROWS[row][1]['method']}` | NEES" for row in PLANTED_ROWS) + " |",
+        "|---" * (1 + 2 * len(PLANTED_ROWS)) + "|",
+    ]  # fmt: skip
+    for key, (title, *_) in PLANTED.items():
+        found = [summary(flown, f"{key}-{row}") for row in PLANTED_ROWS]
+        cells = [f"{one[0]:.2f} / {one[1]:.2f} | {one[3]:.3g}" for one in found if one is not None]
+        if len(cells) == len(PLANTED_ROWS):
+            made.append(f"| {title} | " + " | ".join(cells) + " |")
+    return made
+
+
 def rms(values: list[float]) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
@@ -310,7 +368,8 @@ def fly_all(arguments: argparse.Namespace, seeds: range) -> dict[int, list[dict[
     """Figures of both flights of every seed; those in the file of `--figures` are not flown again."""
     flown: dict[int, list[dict[str, Any]]] = {}
     if arguments.figures and arguments.figures.exists():
-        flown = {int(seed): flights for seed, flights in json.loads(arguments.figures.read_text()).items()}
+        kept = json.loads(arguments.figures.read_text())
+        flown = {int(seed): flights for seed, flights in kept.items() if seed != "planted"}
         if not arguments.more:
             return flown
     begun = time.perf_counter()
@@ -328,8 +387,27 @@ def fly_all(arguments: argparse.Namespace, seeds: range) -> dict[int, list[dict[
             if len(new[seed]) == len(SCENARIOS):
                 flown[seed] = new[seed]
                 if arguments.figures:
-                    arguments.figures.write_text(json.dumps(flown))
+                    arguments.figures.write_text(json.dumps({**flown, "planted": planted_of(arguments.figures)}))
     return flown
+
+
+def planted_of(figures: Path | None) -> dict[str, list[dict[str, Any]]]:
+    """The planted flights in a file of `--figures`, by seed."""
+    kept = json.loads(figures.read_text()) if figures and figures.exists() else {}
+    planted: dict[str, list[dict[str, Any]]] = kept.get("planted", {})
+    return planted
+
+
+def fly_planted(arguments: argparse.Namespace, seeds: range) -> dict[str, list[dict[str, Any]]]:
+    """Figures of the planted causes by seed; those in the file of `--figures` are not flown again."""
+    planted = planted_of(arguments.figures)
+    for seed in seeds[: arguments.planted]:
+        if str(seed) not in planted:
+            planted[str(seed)] = [planted_flight(key, seed) for key in PLANTED]
+            if arguments.figures:
+                kept = json.loads(arguments.figures.read_text()) if arguments.figures.exists() else {}
+                arguments.figures.write_text(json.dumps({**kept, "planted": planted}))
+    return planted
 
 
 def main() -> int:
@@ -339,6 +417,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2, help="flights at the same time")
     parser.add_argument("--peers", type=int, default=3, help="seeds that the peers fly with as well")
     parser.add_argument("--bounds", type=int, default=1, help="seeds whose bound is computed")
+    parser.add_argument("--planted", type=int, default=0, help="seeds that fly with the planted causes")
     parser.add_argument("--more", action="store_true", help="with --figures: fly the seeds that are not in it yet")
     parser.add_argument("--duration", type=float, help="s, of each flight at most")
     parser.add_argument("--markdown", type=Path, help="write the page there")
@@ -346,11 +425,12 @@ def main() -> int:
     arguments = parser.parse_args()
     first, _, last = arguments.seeds.partition("..")
     seeds = range(int(first), int(last or first) + 1)
+    planted = fly_planted(arguments, seeds)
     flown = fly_all(arguments, seeds)
     seeds = range(min(flown), max(flown) + 1)
     length = f"the first {arguments.duration:.0f} s" if arguments.duration else "whole flights"
     flights = f"`turns` and `circuit`, {length}, wind 5 m/s, light turbulence, seeds {seeds[0]} to {seeds[-1]}"
-    table = lines(flown)
+    table = lines(flown) + planted_lines(planted)
     print(flights, *table, sep="\n")
     if arguments.markdown:
         peers = f"The peers flew with the first {arguments.peers} of these seeds." if arguments.peers else ""
