@@ -12,7 +12,7 @@ from estimators.elementary import hypot
 from estimators.jit import inner
 from estimators.models.base import GROUPS, Group, Layout
 from estimators.models.ins.aids import AIDS, GROUPED, configured, field
-from estimators.models.ins.aids.gnss import UP
+from estimators.models.ins.aids.gnss import SETTLED, UP
 from estimators.models.ins.kernels import Readings
 from estimators.models.ins.layout import BA, BG, HI, LARGEST, P_, PHI, SG, WIND, State, V
 from estimators.native import local
@@ -84,6 +84,7 @@ def build(
     _configure_aids(settings, site, sensors, model)
     begin(memory.turned)
     memory.reopened = False
+    memory.gnss.wait_s = 0.0 if alignment.still else SETTLED
     memory.late2 = 0.0
     memory.count = memory.jerky = memory.shaky = 0.0
     memory.good = True

@@ -32,7 +32,7 @@ ANGLE, REPORTED = False, True
 SPAN = 0.1  # s, over which the acceleration is taken
 LATEST, LEAST_LATE = 0.6, 0.005  # s, the longest delay, and the least sigma of it
 MANOEUVRE = 1.0  # m/s2, the least acceleration that shows a delay
-SETTLED = 20.0  # s, from the first fix: an attitude that was begun in flight looks like a delay until then
+SETTLED = 20.0  # s: the error of an attitude that was begun in flight looks like a delay for so long
 SURELY_LATE = 0.08  # s: less may be a bias of the accelerometer, which a turn cannot tell from a delay
 UP = 1.5  # satellites are all above: vertical errors are larger by about that
 JERK = 1.0  # m/s3, of a turn: a delay of a second shows like so much of a bias of the accelerometer
@@ -67,6 +67,7 @@ class Memory(Record):
     late: Number  # s
     late2: Number  # s2, its variance
     begun_t: Number  # s, when it was begun with
+    wait_s: Number  # s, from then until it is learnt
     vel2: Vector3  # m2/s2, variance of the velocity after the last row
     place2: Vector3  # m2, of the place
     off2: Offsets  # squares of what the last fix was off, of velocity and place that jumped; 0: it did not
@@ -129,7 +130,7 @@ def measure(
         used.vel_n[i], used.place_n[i] = known, place and plausible(there[i], 1e6)
         complete &= known
     agreed = agrees(row, then, there, accelerating2, kept, variance, used)
-    if agreed and own.late2 > 0.0 and row.t - kept.begun_t > SETTLED:
+    if agreed and own.late2 > 0.0 and row.t - kept.begun_t >= kept.wait_s:
         learn_delay(own, memory, row, taken, then, kept)
     memory.fixed = used.vel_n[0] != 0
     if complete:
@@ -192,10 +193,8 @@ def learn_delay(own: Parameters, memory: Kept, row: Sample, taken: float, then: 
         return
     along += (taken - kept.late) * information
     late2 = kept.late2 / (1.0 + kept.late2 * information)
-    kept.late = max(kept.late + late2 * along, 0.0)
+    kept.late = min(max(kept.late + late2 * along, 0.0), LATEST)
     kept.late2 = max(late2, min(LEAST_LATE**2, own.late2))
-    if kept.late > LATEST:  # no receiver is as late: fixes that are wrong
-        kept.late = math.nan
 
 
 @inner
