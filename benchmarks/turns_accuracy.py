@@ -180,8 +180,8 @@ RMS over many seeds is below; the bound is that of the first seed's two flights.
   seed (0.5 deg in heading) than without, for a reason not found.
 * **Planted causes**: a magnetometer 60 degrees off is given up in the take-off run, and the heading set to what motion
   shows. Vibration may double an error: `ins21` stays below that, `ins-cal` in tilt but not in heading. A delay that is
-  not declared costs up to a seventh. In the shaken hover neither knows how far off it is, and `ins-cal` gives a good
-  magnetometer up on some seeds, as what the sampling folds down looks like manoeuvres: the heading is lost there.
+  not declared costs up to a seventh. In the shaken hover neither knows how far off it is: what the sampling folds down
+  of the rotors' vibration is no white noise.
 * **What the sensors allow** is the bound: half a degree of misalignment of every sensor is seen only in turns, and a
   rotation of all sensors together never. A lower one takes a better calibrated unit or another manoeuvre.
 * **Worst seed**: the largest of many draws lies further out than that of twenty, of which the goal speaks.
