@@ -12,7 +12,7 @@ from estimators import native
 from estimators.alignment import ALIGNING, NO_HEADING, STILL, Alignment, Stretch, align, concluded, limits, pieces
 from estimators.errors import EstimationError, SampleError
 from estimators.jit import JIT, on_disk
-from estimators.native import argument, loaded, passed
+from estimators.native import Record, argument, loaded, passed
 from estimators.navigator.aids import LEVEL, UP, Z_BASELINE, Z_FIELD, Z_PLACE, Z_VELOCITY
 from estimators.navigator.covariance import clear
 from estimators.navigator.history import History
@@ -204,6 +204,8 @@ def _arrays(part: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
         value = getattr(part, key)
         if isinstance(value, np.ndarray):
             yield f"{name}{key}", value
+        elif isinstance(value, np.void | Record):  # a record: the array that it is a view of
+            yield f"{name}{key}", value.base if JIT else value.data
         else:
             yield from _arrays(value, f"{name}{key}.")
 

@@ -16,7 +16,7 @@ from ahrs_sim.sensors.suite import SECTIONS
 
 # Figures that say how a sensor works and not how wrong it is, and instruments that no attitude comes from.
 KEPT: dict[str, tuple[str, ...]] = {
-    "imu": ("rate", "warm_up", "warm_up_time"),
+    "imu": ("rate", "warm_up", "warm_up_time", "lost"),
     "gyro": ("range", "bandwidth", "antialias"),
     "accelerometer": ("range", "bandwidth", "antialias"),
     "motor": ("reference", "harmonics", "idle"),

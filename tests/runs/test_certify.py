@@ -265,5 +265,6 @@ def test_an_unaided_filter_fails_in_turns(sheets: dict[str, certify.Sheet]) -> N
 
 
 @pytest.mark.long
-def test_a_navigator_meets_all_but_spoofing(sheets: dict[str, certify.Sheet]) -> None:
-    assert _not_met(sheets["ins21-sbg"]) <= {"spoofing"}
+def test_a_navigator_meets_all_but_slip_in_a_skid(sheets: dict[str, certify.Sheet]) -> None:
+    """1.9 deg of slip where one is allowed; every estimator on that unit has it."""
+    assert _not_met(sheets["ins21-sbg"]) <= {"skid"}

@@ -31,7 +31,7 @@ API int fmi2EnterInitializationMode(void *unit)
 }
 
 API int fmi2ExitInitializationMode(void *unit) { return initialise(unit); }
-API int fmi2Reset(void *unit) { return forget(unit); }
+API int fmi2Reset(void *unit) { return forget_unit(unit); }
 
 API int fmi2Terminate(void *unit)
 {

@@ -29,7 +29,7 @@ API int fmi3EnterInitializationMode(void *unit, bool has_tolerance, double toler
 }
 
 API int fmi3ExitInitializationMode(void *unit) { return initialise(unit); }
-API int fmi3Reset(void *unit) { return forget(unit); }
+API int fmi3Reset(void *unit) { return forget_unit(unit); }
 
 API int fmi3Terminate(void *unit)
 {

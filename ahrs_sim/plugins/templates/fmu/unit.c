@@ -60,7 +60,7 @@ static int initialise(const void *unit)
     return ahrs_create(&where, &what, "") == unit ? OK : ERROR;
 }
 
-static int forget(void *unit)
+static int forget_unit(void *unit)
 {
     ahrs_reset(unit);
     nothing();
