@@ -21,6 +21,9 @@ LOW, HIGH = 0.02, 4.0
 """NIS per degree of freedom, in the median over the seconds, within which nothing is said; below only of a velocity:
 what a filter does not believe to be independent from one time to the next it takes with a larger sigma."""
 
+GIVEN_UP = 0.2
+"""Share of the rows for which a sensor may be given up before it is said."""
+
 _NAMES = {
     "vel_n": ("GNSS velocity", "gnss_vel"),
     "place_n": ("GNSS position", "gnss_pos"),
@@ -42,6 +45,9 @@ class _Seen:
 
     measurements: Mapping[str, slice]
     from_ground: bool  # it takes its noise from the standing vehicle
+    notes: Mapping[int, tuple[str, str]]  # what 1 in a column of `Estimates.adaptation` means
+    rows: int = 0  # with an attitude
+    noted: dict[int, int] = field(default_factory=dict)  # of them, by column of `notes`: with a 1
     first: float = math.nan  # s, of its rows
     last: float = math.nan
     aligned: float = math.nan  # s, of its first attitude
@@ -69,6 +75,10 @@ class Outcome:
             known = np.flatnonzero(np.isfinite(estimates.down_b).all(axis=1))
             seen.aligned = float(estimates.t[known[0]]) if len(known) else math.nan
         settled = estimates.t > seen.aligned + SETTLED_S  # none while it is NaN
+        seen.rows += int(settled.sum())
+        for column in seen.notes:
+            ones = int((estimates.adaptation[settled, column] == 1.0).sum())
+            seen.noted[column] = seen.noted.get(column, 0) + ones
         for measured, columns in seen.measurements.items():
             innovation, variance = estimates.innovation[:, columns], estimates.innovation_var[:, columns]
             with np.errstate(invalid="ignore", divide="ignore"):
@@ -94,6 +104,9 @@ class Outcome:
                     f"{name}: no attitude: never aligned in {seconds:.0f} s; it takes {MOVING_S:.0f} s of motion, or "
                     "align_s of standing ([estimator.NAME] in a map)"
                 )
+            for column, count in seen.noted.items():
+                if count > GIVEN_UP * seen.rows:
+                    found.append(f"check: {name}: {seen.notes[column][0]}, {100 * count / seen.rows:.0f} % of the time")
             nis = {measured.rpartition(".")[2]: value for measured, value in self.nis(name).items()}
             high = {m: value for m, value in nis.items() if value > HIGH}
             if high:
@@ -124,7 +137,8 @@ def _seen(estimator: Any) -> _Seen:
     if settings.get("aiding") == "none":  # there a place and a velocity are supposed, not measured
         measured = {name: columns for name, columns in measured.items() if not name.startswith("gnss.")}
     stated = settings.get("noise")
-    return _Seen(measured, stated == "from-ground" or (stated == "auto" and settings.get("aiding") == "none"))
+    ground = stated == "from-ground" or (stated == "auto" and settings.get("aiding") == "none")
+    return _Seen(measured, ground, getattr(estimator, "notes", {}))
 
 
 def _listed(nis: Mapping[str, float]) -> str:
