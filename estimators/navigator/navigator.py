@@ -4,7 +4,7 @@ import hashlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -205,7 +205,7 @@ def _arrays(part: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
         if isinstance(value, np.ndarray):
             yield f"{name}{key}", value
         elif isinstance(value, np.void | Record):  # a record: the array that it is a view of
-            yield f"{name}{key}", value.base if JIT else value.data
+            yield f"{name}{key}", cast("np.ndarray", value.base if JIT else value.data)
         else:
             yield from _arrays(value, f"{name}{key}.")
 
