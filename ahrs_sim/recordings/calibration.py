@@ -213,6 +213,7 @@ def _thinned(mag: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
 _PART_S = 10.0
 _LEAST = 50  # readings
+_TURNED = 0.3  # least eigenvalue of a soft iron: iron weakens a field, it does not turn it round
 _BETTER = 0.85  # share of the disagreement that may be left where a calibration is kept
 _NOT_WORSE = 1.15
 _WORDS = {"norm": "norm", "turn": "turning", "dip": "dip", "course": "course"}
@@ -245,6 +246,8 @@ def try_mag(s: Survey, axes: np.ndarray, field: float | None, track: Track | Non
     hard, soft, left = whole.hard_iron, whole.soft_iron, float(np.max(whole.hard_sigma))
     if np.linalg.norm(hard) < 1e-8 and np.abs(soft - np.eye(3)).max() < 1e-4:
         return Trial(None, f"refused, because no iron stands out of what it can tell ({1e6 * left:.1f} uT)", left)
+    if np.linalg.eigvalsh(soft)[0] < _TURNED:
+        return Trial(None, "refused, because its axes are not those of the IMU", left)
     part = (track.windows.number if track else np.floor(s.t / _PART_S).astype(int)) % 2
     known = np.isfinite(s.mag).all(axis=1)
     if min(int(np.sum(known & (part == k))) for k in (0, 1)) < _LEAST:

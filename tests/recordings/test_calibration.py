@@ -1,5 +1,7 @@
 """Hard and soft iron: kept where the part not fitted to agrees, refused where there is none, sigmas that hold."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from bag_helpers import motion, write_bag
@@ -33,6 +35,17 @@ def test_a_calibrated_magnetometer_is_left_alone(seed: int) -> None:
     trial = tried(seed, (0.0, 0.0, 0.0))
     assert trial.fit is None
     assert "refused, because no iron stands out" in trial.line
+
+
+@pytest.mark.parametrize(
+    "axes", [np.diag([1.0, -1.0, -1.0]), np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])]
+)
+def test_a_magnetometer_mounted_another_way_round_is_no_iron(axes: np.ndarray) -> None:
+    """Or the check of its axes, which comes after, would look at what the calibration has made of them."""
+    s = flown(Path(1), Planted(), seed=1)
+    trial = calibration.try_mag(dataclasses.replace(s, mag=s.mag @ axes.T), np.eye(3), FIELD, inertial.track(s, G))
+    assert trial.fit is None
+    assert trial.line == "refused, because its axes are not those of the IMU"
 
 
 def test_an_axis_that_is_not_excited_gets_no_iron() -> None:

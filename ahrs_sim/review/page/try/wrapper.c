@@ -2,4 +2,4 @@
 #include "@NAME@.c"
 
 __attribute__((export_name("page_sensors"))) double *page_sensors(void);
-double *page_sensors(void) { return memory_sensors.numbers; }
+double *page_sensors(void) { return (double *)memory_sensors; }
