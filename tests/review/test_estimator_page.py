@@ -104,7 +104,7 @@ def test_a_ulog_has_the_figures_of_the_command_line(
         m.t, m.q_nb, m.gyro_b + rng.normal(0, 0.003, m.gyro_b.shape) + 0.002,
         m.accel_b + rng.normal(0, 0.03, m.accel_b.shape), m.mag_b + rng.normal(0, 2e-7, m.mag_b.shape),
     )  # fmt: skip
-    still = {"vel_n_m_s": 0.0, "vel_e_m_s": 0.0, "vel_d_m_s": 0.0}
+    still = {"vel_n_m_s": 0.01, "vel_e_m_s": 0.02, "vel_d_m_s": 0.0}
     path = ulogs.write(
         tmp_path / "flight.ulg", ulogs.inertial(noisy), ulogs.magnetometer(noisy), ulogs.receiver(noisy, **still),
         ulogs.attitude(m),
