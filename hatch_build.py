@@ -38,7 +38,8 @@ class Kernels(BuildHookInterface):
         folder = Path(tempfile.mkdtemp())
         environment = {
             **os.environ, "NUMBA_CACHE_DIR": str(folder), "NUMBA_CPU_NAME": TARGET["cpu"],
-            "NUMBA_CPU_FEATURES": TARGET["features"], "PYTHONPATH": self.root,
+            "NUMBA_CPU_FEATURES": TARGET["features"],
+            "PYTHONPATH": os.pathsep.join([self.root, os.environ.get("PYTHONPATH", "")]),  # pip's, of its build
         }  # fmt: skip
         subprocess.run([sys.executable, "-c", FILL], env=environment, check=True)
         (folder / "target.json").write_text(json.dumps(TARGET))
