@@ -1,8 +1,8 @@
 """Compiled kernels for a wheel: `AHRS_SIM_COMPILE=1 pip wheel --no-build-isolation .` (two minutes).
 
 Without the variable the wheel is plain Python. It cannot be built in pip's isolation: JSBSim finds no data there.
-A wheel with kernels compiles nothing for a first flight where Python, Numba and NumPy are the versions that it was built with
-and the processor has what x86-64-v3 has (AVX2, since 2013). Anywhere else it compiles as if they were not there.
+A wheel with kernels compiles nothing for a first flight where Python, Numba and NumPy are the versions that it was
+built with and the processor has what x86-64-v3 has (AVX2, since 2013). Anywhere else it compiles as if there were none.
 """
 
 import json
