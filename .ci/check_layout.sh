@@ -6,15 +6,10 @@
 # set CHECK_LAYOUT_SCRATCH to a folder to keep it for the next time.
 set -euo pipefail
 HERE=$(cd "$(dirname "$0")" && pwd)
+. "$HERE/scratch.sh"
 [ $# -ge 2 ] || { echo "usage: $0 LOG LAYOUT.json [FOLDER]" >&2; exit 2; }
 
-if [ -n "${CHECK_LAYOUT_SCRATCH:-}" ]; then
-    SCRATCH=$CHECK_LAYOUT_SCRATCH
-    mkdir -p "$SCRATCH"
-else
-    SCRATCH=$(mktemp -d)
-    trap 'rm -rf "$SCRATCH"' EXIT
-fi
+scratch "${CHECK_LAYOUT_SCRATCH:-}"
 SHOTS=${3:-$SCRATCH/shots}
 mkdir -p "$SHOTS"
 if [ ! -d "$SCRATCH/node_modules/playwright-core" ]; then

@@ -4,15 +4,10 @@
 # What they need is installed into a scratch folder; set CHECK_LOG_SCRATCH to a folder to keep it for the next time.
 set -euo pipefail
 HERE=$(cd "$(dirname "$0")" && pwd)
+. "$HERE/scratch.sh"
 [ $# -ge 1 ] || { echo "usage: $0 LOG..." >&2; exit 2; }
 
-if [ -n "${CHECK_LOG_SCRATCH:-}" ]; then
-    SCRATCH=$CHECK_LOG_SCRATCH
-    mkdir -p "$SCRATCH"
-else
-    SCRATCH=$(mktemp -d)
-    trap 'rm -rf "$SCRATCH"' EXIT
-fi
+scratch "${CHECK_LOG_SCRATCH:-}"
 
 if [ ! -x "$SCRATCH/venv/bin/rerun" ]; then
     python3 -m venv "$SCRATCH/venv"

@@ -5,19 +5,12 @@
 # set CHECK_REPORT_SCRATCH to a folder to keep it for the next time.
 set -euo pipefail
 HERE=$(cd "$(dirname "$0")" && pwd)
+. "$HERE/scratch.sh"
 [ $# -ge 1 ] || { echo "usage: $0 REPORT.html [FOLDER]" >&2; exit 2; }
 
-if [ -n "${CHECK_REPORT_SCRATCH:-}" ]; then
-    SCRATCH=$CHECK_REPORT_SCRATCH
-    mkdir -p "$SCRATCH"
-else
-    SCRATCH=$(mktemp -d)
-    trap 'rm -rf "$SCRATCH"' EXIT
-fi
+scratch "${CHECK_REPORT_SCRATCH:-}"
 SHOTS=${2:-$SCRATCH/shots}
 mkdir -p "$SHOTS"
-if [ ! -d "$SCRATCH/node_modules/playwright-core" ]; then
-    npm install --silent --no-save --no-audit --no-fund --no-package-lock --prefix "$SCRATCH" playwright-core
-fi
+browser
 cp "$HERE/check_report.mjs" "$SCRATCH/"
 node "$SCRATCH/check_report.mjs" "$(realpath "$1")" "$(realpath "$SHOTS")"
