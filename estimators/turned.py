@@ -21,6 +21,7 @@ from estimators.elementary import atan2, cos, exp, sin
 from estimators.jit import inner, njit
 from estimators.native import Number, Record
 from estimators.rotations import wrap
+from estimators.settings import Setting
 
 MANOEUVRE = 1.0  # m/s2
 LEAST, MOST = 0.45, 3.0  # s, between the fixes that are compared
@@ -32,6 +33,7 @@ FIT = 0.7  # share of the velocity's changes that the rotation explains
 LONG, AGAIN = 2.5, 10.0  # s
 GROSS = 3.0  # a contradiction so many times larger takes so much less time
 BACK = 0.4  # of `off`: the field fits
+FIELD_OFF = Setting(0.4, "rad, of the field's heading against motion's: the magnetometer is given up", above=0.0)
 NOTES = {2: ("magnetometer given up: motion contradicts its heading", "magnetometer used again")}
 """What a column of `Estimates.adaptation` means when it becomes 1, and 0 again."""
 

@@ -1,6 +1,7 @@
 """Settings of the navigator."""
 
 from estimators.settings import Setting
+from estimators.turned import FIELD_OFF
 
 SETTINGS = {
     "align_s": Setting(20.0, "s, stationary stretch that is averaged", minimum=1.0, maximum=3600.0),
@@ -24,6 +25,6 @@ SETTINGS = {
     "heading_time": Setting(60.0, "s, over which the rest of it wanders", above=0.0),
     "mag_floor": Setting(0.0015, "of the field: its error at each use, however many readings", minimum=0.0),
     "iron_time": Setting(300.0, "s, over which the hard iron walks by what the data sheet says of currents", above=0.0),
-    "field_off": Setting(0.4, "rad, of the field's heading against motion's: the magnetometer is given up", above=0.0),
+    "field_off": FIELD_OFF,
     "surprise": Setting(16.0, "innovation squared over its variance beyond which a measurement counts less", above=1.0),
 }

@@ -13,14 +13,11 @@ from estimators.models.ins.layout import Kept, Motion, Shared, State
 from estimators.native import Flag, Number, Record
 from estimators.records import Place, Sample, Sheet
 from estimators.rotations import yaw
-from estimators.settings import Setting
-from estimators.turned import SURE, is_lost, turned_by
+from estimators.turned import FIELD_OFF, SURE, is_lost, turned_by
 
 NAME, READS_AS = "realign", "baseline"
 
-SETTINGS = {
-    "field_off": Setting(0.4, "rad, of the field's heading against motion's: the magnetometer is given up", above=0.0),
-}
+SETTINGS = {"field_off": FIELD_OFF}
 
 
 class Parameters(Record):
