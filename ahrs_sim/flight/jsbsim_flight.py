@@ -416,6 +416,20 @@ def _own_aircraft(scenario: Scenario) -> str:
     return scenario.aircraft if scenario.aircraft not in ("", Path(scenario.aircraft).stem) else ""
 
 
+def model_files(scenario: Scenario) -> list[Path]:
+    """List the files of the aircraft that a scenario flies, engines, systems and script included.
+
+    Raises:
+        InputError: it cannot be loaded.
+    """
+    fdm = Fdm(1.0 / scenario.rate)
+    if scenario.script is not None:
+        fdm.load_script(scenario.script, scenario.where, _own_aircraft(scenario))
+    else:
+        fdm.load_aircraft(scenario.aircraft, scenario.where)
+    return sorted(set(fdm.sources))
+
+
 def _last_trim(scenario: Scenario, dt: float, end: float | None) -> float:
     """Find the time (s) up to which a script moves the aircraft by trimming it; fly it once to see."""
     fdm = Fdm(dt)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ahrs_sim.errors import InputError
+from ahrs_sim.runs import sources
 from ahrs_sim.runs.pool import Run, Span
 from ahrs_sim.runs.variation import Variation, put
 from ahrs_sim.scenario import Gate, Scenario, code, parse, seeds
@@ -106,6 +107,7 @@ class Plan:
             "band_s": self.band_s,
             "scenario": scenario.toml(),
             "versions": _versions(),
+            "sources": sources.digests(scenario, self.code),
         }
 
     @classmethod

@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -120,15 +120,18 @@ class Store:
         if raw is not None:
             old = self._manifest(raw)
             runs = Plan.from_manifest(old, f"{self.place}/manifest.json").runs
-            changed = [k for k in new if k not in ("runs", "versions") and new[k] != old.get(k)]
+            changed = [k for k in new if k not in ("runs", "versions", "sources") and new[k] != old.get(k)]
             if any(Variation.read(v).kind == "lhs" for v in plan.vary) and runs != new["runs"]:
                 changed.append("runs (a Latin hypercube has a fixed number)")
             if changed:
                 raise InputError(
                     f"{self.place}: already holds a different campaign ({changed[0]} differs); choose another -o"
                 )
-            if old.get("versions") != new["versions"]:
-                raise InputError(f"{self.place}: was flown with other versions ({old.get('versions')}); start anew")
+            if other := _other(old, new, "versions") or _other(old, new, "sources"):
+                raise InputError(
+                    f"{self.place}: its flights were flown with other {other}; go on with those, or start anew: "
+                    "choose another -o, or remove this folder"
+                )
             new["runs"] = max(new["runs"], runs)
         return new
 
@@ -190,6 +193,18 @@ class Store:
     def done(self) -> set[int]:
         """Find the numbers of the runs in the data set."""
         return set(self.table(["run"])["run"].to_pylist())
+
+
+def _other(old: Mapping[str, Any], new: Mapping[str, Any], kind: str) -> str:
+    """Name what differs in a table of two manifests; empty when nothing does."""
+    was, now = old.get(kind), new[kind]
+    if not isinstance(was, dict):
+        return f"{kind} (it has not noted which)"
+    changed = [name for name in {**was, **now} if was.get(name) != now.get(name)]
+    if not changed:
+        return ""
+    shown = [f"{name} {was.get(name, 'none')}, now {now.get(name, 'none')}" for name in changed]
+    return f"{kind} ({'; '.join(shown)})"
 
 
 def _arrow_types(plan: Plan, pa: Any) -> Callable[[str], Any]:
