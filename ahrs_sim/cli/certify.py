@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+import time
 from pathlib import Path
 
 from ahrs_sim.cli.common import Commands, Progress, add_code, count, gate
@@ -47,10 +48,12 @@ def run(arguments: argparse.Namespace) -> int:
     allowed = gate([*arguments.allow_code, *named(arguments.estimators)], arguments.json)
     plans = certify.plans(standard, chosen, runs, allowed)
     folder = arguments.output or f"logs/certify-{'+'.join(chosen)}"
+    begun = time.perf_counter()
     with pools.pool(arguments.workers, arguments.scheduler) as pool:
         stores = certify.fly(
             plans, folder, pool, lambda name: Progress(f"flying {name}", unit="runs", hidden=arguments.json)
         )
+    seconds = time.perf_counter() - begun
     sheets = certify.evaluate(standard, chosen, stores, runs)
     if arguments.html:
         with pools.local_pool(arguments.workers) as pool:  # the workers of a cluster may not see this disk
@@ -60,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.html.write_text(certify_sheet.page(standard, sheets, links), encoding="utf-8")
     Progress.clear()
     if arguments.junit:
-        arguments.junit.write_text(certify_sheet.junit(sheets), encoding="utf-8")
+        arguments.junit.write_text(certify_sheet.junit(sheets, seconds), encoding="utf-8")
     if arguments.json:
         print(json.dumps(certify_sheet.as_json(standard, sheets), indent=1))
     elif arguments.markdown:

@@ -131,6 +131,10 @@ def _misshapen(estimates: object, samples: Samples) -> str | None:
 
 
 def _where(error: Exception) -> str:
-    """Format an exception as one line with the innermost place in the user's code."""
-    frame = traceback.extract_tb(error.__traceback__)[-1]
+    """Format an exception as one line with the innermost place in the user's code, not in a library that it calls."""
+    frames = traceback.extract_tb(error.__traceback__)
+    home = Path(frames[min(1, len(frames) - 1)].filename).parent  # of `process`; the first is our call of it
+    within = [(frame, Path(frame.filename)) for frame in frames[1:]]
+    own = [f for f, p in within if home in p.parents and "site-packages" not in p.relative_to(home).parts]
+    frame = (own or frames)[-1]
     return f"{type(error).__name__}: {' '.join(str(error).split())} ({Path(frame.filename).name}, line {frame.lineno})"

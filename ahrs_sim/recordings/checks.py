@@ -32,6 +32,7 @@ _COURSE = math.radians(8.0)
 _TURN_BINS = 5
 _STUCK_S = 1.0
 _LEG_S, _FEWEST_LEGS, _FASTEST = 4.0, 10, 350.0  # s; m/s
+_SETTLING_S, _SETTLING, _SETTLED_S = 20.0, math.radians(30.0), 60.0  # an attitude that is being aligned, and is
 _AIDS = {"gnss": "GNSS velocity", "airspeed": "airspeed"}
 
 
@@ -474,6 +475,32 @@ def _course(assumed: Assumed, track: Track) -> list[str]:
 # ----------------------------------------------------------------------------------------------- reference
 
 
+def _unaligned(s: Survey, t: np.ndarray, q_nb: np.ndarray) -> list[str]:
+    """Find a reference whose heading turns against the gyro at first and never again: it was not aligned before."""
+    dt = np.diff(s.t)[:, None]
+    q = interpolate(t, q_nb, s.t)
+    turned_b = attitude.rotation_vector(q[:-1], q[1:]) - 0.5 * (s.gyro_b[1:] + s.gyro_b[:-1]) * dt
+    known = np.isfinite(turned_b).all(axis=1) & (dt[:, 0] < 2.5 * BIN_S)
+    if known.sum() < _SETTLED_S / BIN_S:
+        return []
+    turned_b -= np.median(turned_b[known] / dt[known], axis=0) * dt  # the gyro's bias
+    off = np.cumsum(np.where(known[:, None], attitude.to_nav(q[:-1], turned_b), 0.0), axis=0)
+    rows = round(_SETTLING_S / BIN_S)
+    change = np.abs(off[rows:] - off[:-rows])
+    large = np.flatnonzero(change[:, 2] > _SETTLING)
+    if not len(large) or 2.0 * change[change[:, 2].argmax(), :2].max() > change[:, 2].max():
+        return []  # nothing, or not about down alone
+    settled = int(large[-1]) + rows
+    end, after = float(s.t[settled + 1]), change[large[-1] + rows :]
+    if s.t[-1] - end < _SETTLED_S or (after[:, 2] > 0.5 * _SETTLING).any():
+        return []
+    size = math.degrees(np.ptp(off[: settled + 1, 2]))
+    return [
+        f"heading of the reference turns by {size:.0f} deg against the gyro up to {end:.0f} s and not after: it was "
+        f"not aligned before; --from {math.ceil(end)} leaves that out of the errors"
+    ]
+
+
 def _against_reference(s: Survey, axes: tuple[str, str], delay: float, units: bool) -> list[str]:
     t, q = s.t_reference - delay, s.q_nb
     if len(t) < 20 or len(s.t) < 20:
@@ -499,4 +526,4 @@ def _against_reference(s: Survey, axes: tuple[str, str], delay: float, units: bo
         found.append(f"gyro {' and '.join(wrong)} turn against the reference attitude: frame or mounting? ([frames])")
     elif (slope[strong] < 0.5).any():
         found.append("gyro does not follow the reference attitude: mounting, or another body? ([mounting])")
-    return found
+    return found or _unaligned(s, t, q)

@@ -136,7 +136,7 @@ class Sheet:
     grade: str
     runs: int
     findings: tuple[Finding, ...]
-    errors: Mapping[str, str] = field(default_factory=dict)  # flights that failed, by flight and run
+    errors: Mapping[str, str] = field(default_factory=dict)  # flights that failed, by flight, run and seed
 
     @property
     def passed(self) -> bool:
@@ -318,7 +318,7 @@ def evaluate(
     """Evaluate every requirement for every estimator on the first `runs` flights."""
     flown = {name: [r for r in store.table().to_pylist() if r["run"] < runs] for name, store in stores.items()}
     errors = {
-        f"{name}, run {row['run']}": str(row["error"])
+        f"{name}, run {row['run']} (seed {row['seed']})": str(row["error"])
         for name, rows in flown.items()
         for row in rows
         if row["error"] is not None

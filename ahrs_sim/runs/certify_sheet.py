@@ -146,15 +146,23 @@ def as_json(standard: Standard, sheets: Sequence[Sheet]) -> dict[str, Any]:
     }
 
 
-def junit(sheets: Sequence[Sheet]) -> str:
-    """Format sheets for CI systems: a test case a row and figure; what is not shown to be met fails."""
-    cases = []
+def junit(sheets: Sequence[Sheet], seconds: float) -> str:
+    """Format sheets for CI systems: a test case a row and figure; what is not shown to be met fails.
+
+    A flight that failed is a failed case of every estimator aboard.
+
+    Args:
+        sheets: of one estimator each.
+        seconds: that the flights took, shared equally by the cases: a flight serves many rows.
+    """
+    found: list[tuple[str, str, str | None]] = []
     for sheet in sheets:
         for finding in sheet.findings:
             r = finding.requirement
             failure = None if finding.result == MET else "  ".join(_cells(finding))
-            cases.append(Case(sheet.estimator, f"{r.row.name}.{r.figure}", failure))
-    return document("ahrs-sim certify", cases, sheets[0].errors if sheets else {})
+            found.append((sheet.estimator, f"{r.row.name}.{r.figure}", failure))
+        found += [(sheet.estimator, where, error) for where, error in sheet.errors.items()]
+    return document("ahrs-sim certify", [Case(e, name, seconds / len(found), failure) for e, name, failure in found])
 
 
 # ----------------------------------------------------------------------------------------------- page with links

@@ -60,6 +60,8 @@ class Result:
     baseline: str
     rows: list[Row]
     errors: dict[str, str] = field(default_factory=dict)  # by flight and seed
+    flown: dict[str, tuple[str, ...]] = field(default_factory=dict)  # estimators of each flight
+    seconds: dict[str, float] = field(default_factory=dict)  # of each flight, its seeds one after the other
 
     @property
     def passed(self) -> bool:
@@ -82,6 +84,7 @@ def fly(
     """
     figures: Figures = {f.name: {} for f in suite.flights}
     errors: dict[str, str] = {}
+    seconds = dict.fromkeys(figures, 0.0)
     place = {f.name: f for f in suite.flights}
 
     def all_runs() -> Iterator[Run]:
@@ -97,6 +100,7 @@ def fly(
             name, seed = outcome.key
             if outcome.bad_input:
                 raise InputError(str(outcome.error))
+            seconds[name] += outcome.seconds
             if outcome.error is not None:
                 errors[f"{name}, seed {seed}"] = outcome.error
             column = place[name].seeds.index(seed)
@@ -105,7 +109,7 @@ def fly(
                 for figure, value in _kept(values, [span.name for span in place[name].run.spans]):
                     mine.setdefault(figure, [math.nan] * len(place[name].seeds))[column] = value
             progress(count, total)
-    return Found(figures, errors)
+    return Found(figures, errors, seconds)
 
 
 def _kept(values: Mapping[str, Any], parts: Sequence[str]) -> Iterator[tuple[str, float]]:
@@ -141,7 +145,8 @@ def compare(suite: Suite, found: Found) -> Result:
                 b = b if len(b) else np.full(len(columns), np.nan)
                 if not (failed and not np.isfinite(b).any()):
                     rows.append(_row(suite, flight.name, estimator, figure, a, b))
-    return Result(suite.name, str(suite.baseline), rows, found.errors)
+    flown = {flight.name: flight.estimators for flight in suite.flights}
+    return Result(suite.name, str(suite.baseline), rows, found.errors, flown, found.seconds)
 
 
 def _row(suite: Suite, flight: str, estimator: str, figure: str, before: np.ndarray, now: np.ndarray) -> Row:

@@ -3,7 +3,7 @@
 import datetime
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import Any
 
@@ -22,6 +22,7 @@ class Found:
 
     figures: Figures
     errors: dict[str, str]  # by flight and seed
+    seconds: dict[str, float] = field(default_factory=dict)  # by flight: all its seeds, one after the other
 
 
 def read(suite: Suite) -> dict[str, Any]:

@@ -112,13 +112,24 @@ def as_json(result: Result) -> dict[str, Any]:
 
 
 def junit(result: Result) -> str:
-    """Format the result for CI systems: a test case a flight and estimator, and one a failed flight."""
-    groups: dict[tuple[str, str], list[Row]] = {}
+    """Format the result for CI systems: a test case a flight and estimator, which fails with the flight.
+
+    The time of a flight, of all its seeds, is shared equally by its cases.
+    """
+    groups: dict[tuple[str, str], list[Row]] = {(f, e): [] for f, names in result.flown.items() for e in names}
     for row in result.rows:
         groups.setdefault((row.flight, row.estimator), []).append(row)
+    share = Counter(flight for flight, _ in groups)
     cases = []
     for (flight, estimator), rows in groups.items():
+        failed = [
+            f"{where.removeprefix(f'{flight}, ')}: {error}"
+            for where, error in result.errors.items()
+            if where.startswith(f"{flight}, seed ")
+        ]
         bad = [row for row in rows if row.result in (WORSE, GONE)]
-        failure = (f"{len(bad)} figures worse", "\n".join("  ".join(_cells(row)) for row in bad)) if bad else ()
-        cases.append(Case(flight, estimator, *failure))
-    return document(f"ahrs-sim check {result.suite}", cases, result.errors)
+        message = "; ".join([*failed, *([f"{len(bad)} figures worse"] if bad else [])])
+        details = "\n".join("  ".join(_cells(row)) for row in bad)
+        seconds = result.seconds.get(flight, 0.0) / share[flight]
+        cases.append(Case(flight, estimator, seconds, message or None, details or None))
+    return document(f"ahrs-sim check {result.suite}", cases)

@@ -75,6 +75,7 @@ class Flight:
     name: str
     seeds: tuple[int, ...]
     run: Run  # with the first seed
+    estimators: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -183,7 +184,7 @@ def _certification(table: Table, gate: scenarios.Gate) -> Flight:
     title = table.text("name", f"certify-{name}")
     table.close()
     run = certify.plans(standard, chosen, 1, gate)[name].run(0)
-    return Flight(title, tuple(seeds), replace(run, key=None, band_s=None))
+    return Flight(title, tuple(seeds), replace(run, key=None, band_s=None), tuple(chosen))
 
 
 def _flight(table: Table, file: Path, estimators: Mapping[str, Any], gate: scenarios.Gate) -> Flight:
@@ -201,4 +202,5 @@ def _flight(table: Table, file: Path, estimators: Mapping[str, Any], gate: scena
     scenario = scenarios.parse(data, scenario.where, scenario.name, estimators=chosen, gate=gate)
     title = table.text("name", scenario.name)
     table.close()
-    return Flight(title, tuple(seeds), Run(None, scenario.name, scenario.where, scenario.data, code=scenario.code))
+    run = Run(None, scenario.name, scenario.where, scenario.data, code=scenario.code)
+    return Flight(title, tuple(seeds), run, tuple(e.name for e in scenario.estimators))

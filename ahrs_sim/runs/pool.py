@@ -15,6 +15,7 @@ import contextlib
 import math
 import multiprocessing
 import os
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
@@ -76,10 +77,16 @@ class Outcome:
     figures: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     error: str | None = None
     bad_input: bool = False  # the error is the user's, every such run will have it
+    seconds: float = 0.0  # that it took
 
 
 def fly(run: Run) -> Outcome:
     """Fly a run here and now and compare it; whatever goes wrong is in the outcome."""
+    begun = time.perf_counter()
+    return replace(_outcome(run), seconds=time.perf_counter() - begun)
+
+
+def _outcome(run: Run) -> Outcome:
     try:
         scenario = run.scenario()
         return Outcome(run.key, _flown(scenario, run))

@@ -20,6 +20,8 @@ class {name}:
     def process(self, samples):
         if self.wrong == "raises":
             raise RuntimeError("boom")
+        if self.wrong == "in a library":
+            np.linalg.inv(np.zeros((3, 3)))
         if self.wrong == "dict":
             return dict(t=samples.t)
         columns = blank(Estimates, len(samples))
@@ -64,6 +66,7 @@ def test_a_class_in_the_current_folder_flies(
     ("wrong", "reason"),
     [
         ("raises", "RuntimeError: boom (wrong_one.py, line 9)"),
+        ("in a library", "LinAlgError: Singular matrix (wrong_one.py, line 11)"),
         ("dict", "process() returned dict, not estimators.Estimates"),
         ("no t", "other time stamps"),
     ],

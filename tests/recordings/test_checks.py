@@ -209,6 +209,36 @@ def test_velocity_is_not_blamed_in_a_hover_nor_for_a_delay_or_single_fixes() -> 
     assert checks._velocity(still) == []
 
 
+def referred(s: Survey, off_deg: Any) -> list[str]:
+    """What the checks say of a reference whose heading is off by a function of time."""
+    t = np.arange(0.0, s.t[-1], 0.05)
+    half = np.radians(off_deg(t)) / 2
+    turn = np.column_stack([np.cos(half), 0.0 * t, 0.0 * t, np.sin(half)])
+    q_nb = attitude.product(turn, Path(3).q_nb(t))
+    return lines(dataclasses.replace(s, t_reference=t, q_nb=q_nb), reference=("FRD", "NED"))
+
+
+def test_a_reference_that_was_not_aligned_at_first() -> None:
+    s = flown(Path(3))
+    (line,) = referred(s, lambda t: np.interp(t, [60.0, 85.0], [100.0, 0.0]))
+    found = re.fullmatch(
+        r"heading of the reference turns by (\d+) deg against the gyro up to (\d+) s and not after: it was not aligned "
+        r"before; --from (\d+) leaves that out of the errors",
+        line,
+    )
+    assert found is not None
+    assert int(found[1]) == pytest.approx(100, abs=8)
+    assert 80 <= int(found[2]) <= int(found[3]) <= 105
+    for sound in (
+        lambda t: 0.0 * t,
+        lambda t: 0.0 * t + 70.0,  # never aligned, or a heading without declination: another thing
+        lambda t: 0.3 * t,  # a bias of either
+        lambda t: np.interp(t, [60.0, 85.0, 190.0, 210.0], [100.0, 0.0, 0.0, 100.0]),  # lost again
+        lambda t: np.interp(t, [200.0, 220.0], [0.0, 100.0]),  # lost at the end
+    ):
+        assert referred(s, sound) == []
+
+
 def test_sensors_that_are_not_there() -> None:
     blocks = measured(Path(1), Planted(), duration=40.0)
     seen = survey.look([blocks])

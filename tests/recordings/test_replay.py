@@ -358,6 +358,22 @@ def test_thor_by_itself(method: str, better: float) -> None:
 
 
 @real
+def test_thor_s_reference_is_aligned_in_the_take_off() -> None:
+    """It has no magnetometer: its heading comes with the first motion. The hand-held ones are aligned all along."""
+    from ahrs_sim.recordings.recording import open_bag
+
+    with open_bag(DATA / "thor_flight75" / "thor_flight75.mcap", map_file=None) as bag:
+        (line,) = [note for note in bag.notes if "heading of the reference" in note]
+    found = re.search(r"turns by (\d+) deg .* --from (\d+) leaves", line)
+    assert found is not None
+    assert 150 < int(found[1]) < 250
+    assert 180 <= int(found[2]) <= 212  # it is airborne from then on
+    for path in (DATA / "broad").glob("*.mcap"):
+        with open_bag(path, map_file=None) as bag:
+            assert not [note for note in bag.notes if "heading of the reference" in note]
+
+
+@real
 @pytest.mark.long
 def test_hard_iron_of_thor_is_found(capsys: pytest.CaptureFixture[str]) -> None:
     bag = str(DATA / "thor_flight75" / "thor_flight75.mcap")

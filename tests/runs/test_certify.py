@@ -11,7 +11,7 @@ import pytest
 
 from ahrs_sim.cli import main
 from ahrs_sim.errors import InputError
-from ahrs_sim.runs import certify
+from ahrs_sim.runs import certify, certify_sheet
 from ahrs_sim.runs import pool as pools
 from ahrs_sim.runs.pool import Span
 from ahrs_sim.scenario import Gate
@@ -208,6 +208,7 @@ def test_outputs_agree_and_a_second_run_flies_nothing(
         assert span[0] <= row["worst_s"] <= span[1]
     suite = ElementTree.parse(xml).getroot()
     assert (suite.get("tests"), suite.get("failures")) == ("4", "0")
+    assert float(suite.get("time", "0")) > 0.0
     links = re.findall(r'href="([^"#]+)#t=([\d.]+)"', page.read_text())
     assert len(links) == 4
     for target, moment in links:
@@ -224,6 +225,15 @@ def test_few_flights_show_nothing_met(limits: Path, tmp_path: Path, capsys: pyte
     code, text = run(capsys, "marg-ekf@chr", "--limits", str(strict), "-o", str(tmp_path / "o"))
     assert code == 1
     assert "0 met, 0 not met, 4 not shown; 59 flights are the least" in text
+
+
+def test_junit_names_flight_run_and_seed_of_a_failed_flight() -> None:
+    errors = {"ordinary, run 3 (seed 4)": "estimator 'mine' ValueError: no (mine.py, line 7)"}
+    sheets = [certify.Sheet(name, "marg-ekf", "chr_6dm", 59, (), errors) for name in ("mine", "other")]
+    suite = ElementTree.fromstring(certify_sheet.junit(sheets, 6.0))
+    cases = [(c.get("classname"), c.get("name"), c.get("time")) for c in suite.iter("testcase")]
+    assert cases == [(name, "ordinary, run 3 (seed 4)", "3.000") for name in ("mine", "other")]
+    assert {f.get("message") for f in suite.iter("failure")} == set(errors.values())
 
 
 # ----------------------------------------------------------------------------------------------- the shipped flights

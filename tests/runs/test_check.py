@@ -166,6 +166,17 @@ def test_forms_of_the_result(suite: check_suite.Suite) -> None:
     assert "all.tilt" in str(failure.text)
 
 
+def test_junit_has_the_same_cases_with_times_when_a_flight_fails(suite: check_suite.Suite) -> None:
+    reason = "estimator 'ckf' ValueError: no (mine.py, line 7)"
+    for figures in (found().figures, {"sway": {}}):  # one seed failed, or all
+        failed = Found(figures, {"sway, seed 2": reason}, {"sway": 3.0})
+        xml = ElementTree.fromstring(check_report.junit(check.compare(suite, failed)))
+        cases = [(c.get("classname"), c.get("name"), c.get("time")) for c in xml.iter("testcase")]
+        assert cases == [("sway", "ekf", "1.500"), ("sway", "ckf", "1.500")]
+        assert xml.get("time") == "3.000"
+        assert [f.get("message") for f in xml.iter("failure")] == [f"seed 2: {reason}"] * 2
+
+
 @pytest.mark.parametrize(
     ("text", "word"),
     [
