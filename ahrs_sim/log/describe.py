@@ -20,10 +20,7 @@ def reference() -> str:
     suite = [_behind("/<suite>", route) for _, route in topics.INSTRUMENTS.values()]
     suite += [_behind("/<suite>", route) for route in topics.STATUS.values()]
     suite.append(_behind("/<suite>", topics.TEMPERATURE))
-    estimator = [
-        _behind("/est/<name>", route)
-        for route in (topics.STATE, topics.ESTIMATED_IMU, topics.ATTITUDE, topics.TURN, topics.ERRORS)
-    ]
+    estimator = [_behind("/est/<name>", route) for route in topics.ESTIMATES]
     truth = (*topics.TRUTH, topics.TRUTH_ATTITUDE, topics.TRUTH_TURN, topics.TRUTH_FIX, topics.TF, topics.TF_STATIC)
     parts = ["## Topics", "", "### Truth", "", *_topics(truth)]
     parts += ["", "### Each sensor suite", "", *_topics(suite)]

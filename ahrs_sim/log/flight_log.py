@@ -25,8 +25,10 @@ from ahrs_sim.log.mcap.writer import Listener, LogChannel, LogWriter
 from ahrs_sim.log.ros_axes import RosTwins
 from ahrs_sim.log.topics import (
     ATTITUDE,
+    BIASES,
     ERRORS,
     ESTIMATED_IMU,
+    ESTIMATES,
     EVENTS,
     FIX_RATE,
     INSTRUMENTS,
@@ -72,10 +74,8 @@ class EstimateTopics:
     def __init__(self, writer: LogWriter, epoch_ns: int, names: Iterable[str], twins: RosTwins | None = None) -> None:
         self.writer, self.epoch_ns = writer, epoch_ns
         self._channels = {
-            name: [route.channel(writer, f"/est/{name}") for route in (STATE, ESTIMATED_IMU, ATTITUDE, ERRORS)]
-            for name in names
+            name: {route.topic: route.channel(writer, f"/est/{name}") for route in ESTIMATES} for name in names
         }
-        self._turns = {name: TURN.channel(writer, f"/est/{name}") for name in self._channels}
         self._twins = twins
         for name in self._channels:
             if twins:
@@ -93,34 +93,35 @@ class EstimateTopics:
             return
         times = nanoseconds(self.epoch_ns, block.t)
         arrival = nanoseconds(self.epoch_ns, block.arrival) if isinstance(block, Answers) else times
-        state, imu, _, _ = self._channels[name]
-        self.writer.write(state, arrival, times, **STATE.columns(block))
+        channels = self._channels[name]
+        self.writer.write(channels[STATE.topic], arrival, times, **STATE.columns(block))
         self._plot(name, block)
         known = np.isfinite(block.q_nb).all(axis=1)
         if known.any():
             block, times, arrival = take(block, known), times[known], arrival[known]
             covariance = np.nan_to_num(block.att_cov)
             columns = {"orientation": block.q_nb, "orientation_covariance": covariance}
-            self.writer.write(imu, arrival, times, **columns)
+            self.writer.write(channels[ESTIMATED_IMU.topic], arrival, times, **columns)
             if self._twins:
                 self._twins.write(ESTIMATED_IMU, f"/est/{name}", arrival, times, columns)
 
     def turning(self, name: str, block: Turning) -> None:
         """Write turn rate and slip of one estimator."""
         times = nanoseconds(self.epoch_ns, block.t)
-        self.writer.write(self._turns[name], times, times, **TURN.columns(block))
+        self.writer.write(self._channels[name][TURN.topic], times, times, **TURN.columns(block))
 
     def _plot(self, name: str, block: Estimates) -> None:
-        """Write attitudes at `PLOT_RATE`, and errors as soon as the reference is there."""
+        """Write attitudes and biases at `PLOT_RATE`, and errors as soon as the reference is there."""
         block = take(block, self._plotted[name].rows(block.t))
         block = take(block, np.isfinite(block.down_b).all(axis=1))
         if not len(block):
             return
-        _, _, channel, _ = self._channels[name]
+        channels = self._channels[name]
         times = nanoseconds(self.epoch_ns, block.t)
         roll, pitch = attitude.roll_pitch(block.down_b)
         heading = np.mod(attitude.euler(block.q_nb)[:, 2], 2 * np.pi)
-        self.writer.write(channel, times, times, roll=roll, pitch=pitch, heading=heading)
+        self.writer.write(channels[ATTITUDE.topic], times, times, roll=roll, pitch=pitch, heading=heading)
+        self.writer.write(channels[BIASES.topic], times, times, **BIASES.columns(block))
         self._evaluator.add(name, block)
 
     def _write_errors(self, name: str, pair: Comparison) -> None:
@@ -128,9 +129,8 @@ class EstimateTopics:
         pair = Comparison(take(pair.estimates, known), pair.reference[known])
         columns = dict(zip(metrics.MEASURES, pair.errors().T, strict=True))
         columns |= {f"{axis}_sigma": s for axis, s in zip(metrics.MEASURES, pair.sigma().T, strict=False)}
-        _, _, _, errors = self._channels[name]
         times = nanoseconds(self.epoch_ns, pair.estimates.t)
-        self.writer.write(errors, times, times, **columns)
+        self.writer.write(self._channels[name][ERRORS.topic], times, times, **columns)
 
 
 def nanoseconds(epoch_ns: int, t: np.ndarray) -> np.ndarray:

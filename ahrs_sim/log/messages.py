@@ -198,6 +198,10 @@ float64 total # rad, angle of the whole rotation; NaN without a heading
 float64 roll_sigma # rad, one sigma as the estimator claims it; NaN where it claims none
 float64 pitch_sigma # rad
 float64 heading_sigma # rad
+MSG: ahrs_sim_msgs/Biases
+std_msgs/Header header
+geometry_msgs/Vector3 gyro_bias # rad/s, FRD; NaN where it is not estimated
+geometry_msgs/Vector3 accel_bias # m/s2, FRD; NaN where it is not estimated
 MSG: ahrs_sim_msgs/TurnSlip
 std_msgs/Header header
 float64 turn_rate # rad/s, of the heading, positive to the right; NaN while not known

@@ -366,12 +366,22 @@ TURN = Route(
     f"Turn rate and slip as of the truth: of its vertical, and of its IMU less its biases, {TURN_RATE:g} Hz.",
     {"turn_rate": "turn_rate", "slip": "slip"},
 )
+BIASES = Route(
+    "/biases",
+    "ahrs_sim_msgs/msg/Biases",
+    FRD,
+    f"Biases for plots, {PLOT_RATE:g} Hz.",
+    {"gyro_bias": "gyro_bias", "accel_bias": "accel_bias"},
+)
 ERRORS = Route(
     "/errors",
     "ahrs_sim_msgs/msg/AttitudeErrors",
     NED,
     f"How wrong it is, for plots, {PLOT_RATE:g} Hz: against the truth, in the replay of a bag against its reference.",
 )
+ESTIMATES = (STATE, ESTIMATED_IMU, ATTITUDE, BIASES, TURN, ERRORS)
+"""What goes behind `/est/<name>`."""
+
 REFERENCE = Route(
     "/reference/imu",
     "sensor_msgs/msg/Imu",

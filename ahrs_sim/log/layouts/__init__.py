@@ -2,8 +2,8 @@
 
 `ahrs_sim.json` fits the shipped circuit; `ahrs-sim export LOG --to layout` makes one with the names of any log of ours.
 Foxglove and Lichtblick take both (Layouts, Import from file). Their plots know fields of messages and hardly anything
-derived from them, and load whole messages of a whole flight: for their sake our logs have angles and errors as topics
-of their own, ten times a second.
+derived from them, and load whole messages of a whole flight (540 000 states of the circuit do not fit their cache): for
+their sake our logs have angles, biases and errors as topics of their own, ten times a second.
 """
 
 import json
@@ -123,7 +123,7 @@ def build(suites: Mapping[str, Sequence[str]], estimators: Sequence[str]) -> dic
             f"bias_{axis}",
             f"gyro bias {axis}, rad/s",
             [
-                *((f"/est/{name}/state.gyro_bias.{axis}", name) for name in estimators),
+                *((f"/est/{name}/biases.gyro_bias.{axis}", name) for name in estimators),
                 *(
                     (f"/{s}/imu/errors.gyro_effective_bias.{axis}", f"{s} truth")
                     for s in suites
