@@ -100,8 +100,8 @@ TRUTH: tuple[Route, ...] = (
         "sensor_msgs/msg/Imu",
         FRD,
         "What a perfect IMU at the centre of gravity reads: inertial rate (rad/s), specific force (m/s2, -9.81 on z at "
-        "rest); and the attitude. Integrated at 100 Hz the rate gives the attitude back to some 0.1 deg over a flight; "
-        "`truth_rate_hz = 400` in the scenario keeps every row (0.001 deg).",
+        "rest); and the attitude. Integrated at 100 Hz the rate gives the attitude back to 0.11 deg over the circuit; "
+        "`truth_rate_hz = 400` in the scenario keeps every row (0.002 deg).",
         {"orientation": "q_nb", "angular_velocity": "rate_ib_b", "linear_acceleration": "accel_b"},
     ),
     Route(

@@ -1,6 +1,7 @@
 """The truth of a JSBSim flight: consistent with itself over the whole circuit, reproducible, independent of blocks."""
 
 import dataclasses
+import re
 import tomllib
 
 import numpy as np
@@ -20,6 +21,7 @@ from flight_helpers import (
 from ahrs_sim import scenario
 from ahrs_sim.flight import jsbsim_flight, open_flight
 from ahrs_sim.flight.truth import Truth
+from ahrs_sim.log import topics
 from ahrs_sim.world.gravity import gravity_n, j2_gravity_n
 
 
@@ -28,6 +30,9 @@ def circuit():
     flown = Flown(scenario.load("circuit"))
     assert flown.error is None
     return flown
+
+
+IMU = next(route for route in topics.TRUTH if route.topic == "/truth/imu")
 
 
 def same(a: Truth, b: Truth) -> bool:
@@ -258,6 +263,12 @@ def test_how_far_the_logged_rate_of_the_truth_carries():
     truth = Flown(airborne({"do": "windup_turn"}, {"do": "roll"}, {"do": "straight", "for_s": 10.0}, wind=ROUGH)).truth
     every, fourth = (attitude_residual_deg(rows).max() for rows in (truth, truth[::4]))
     assert every < 0.01 < 5.0 * every < fourth < 0.5
+
+
+def test_the_description_of_the_log_says_how_far_its_rate_carries(circuit):
+    stated = re.search(r"at 100 Hz .* back to ([.0-9]+) deg over the circuit; .* = 400.* \(([.0-9]+) deg\)", IMU.about)
+    at_100_hz, at_400_hz = (attitude_residual_deg(rows).max() for rows in (circuit.truth[::4], circuit.truth))
+    assert (float(stated[1]), float(stated[2])) == (round(at_100_hz, 2), round(at_400_hz, 3))
 
 
 def test_a_script_that_trims_begins_after_it():

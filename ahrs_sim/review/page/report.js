@@ -56,7 +56,8 @@
     const x = (t - s.t0) / s.dt, i = Math.floor(x);
     if (i < 0 || i >= s.v.length) return NaN;
     const a = s.v[i], b = i + 1 < s.v.length ? s.v[i + 1] : a;
-    return Number.isFinite(b) ? a + (x - i) * (b - a) : a;
+    const change = s.circular && Math.abs(b - a) > 180 ? b - a - 360 * Math.sign(b - a) : b - a;
+    return Number.isFinite(change) ? a + (x - i) * change : a;
   }
 
   // Times at which a plot of some series over [a, b] is drawn: all samples, or two in a bucket a pixel wide.
@@ -66,22 +67,26 @@
     if ((b - a) / dt <= 2 * pixels) {
       const t0 = (list.find((s) => s.dt === fine && s.t0 !== undefined) ?? { t0: 0 }).t0;
       const first = Math.floor((a - t0) / dt), n = Math.ceil((b - a) / dt) + 3;
-      return { x: Float64Array.from({ length: n }, (_, i) => t0 + (first + i) * dt), bucket: 0 };
+      return { x: Float64Array.from({ length: n }, (_, i) => t0 + (first + i) * dt), bucket: 0, gap: Math.floor(1.5 * n / pixels) };
     }
     const bucket = (b - a) / pixels;
-    return { x: Float64Array.from({ length: 2 * pixels }, (_, i) => a + i * bucket / 2), bucket };
+    return { x: Float64Array.from({ length: 2 * pixels }, (_, i) => a + i * bucket / 2), bucket, gap: 3 };
   }
 
   // Values at the times of a grid; of a bucket the minimum and the maximum in their order, so that no peak is lost.
-  function sampled(s, { x, bucket }) {
-    const out = new Array(x.length);
-    if (!s.v || s.dt * 2 > bucket) {
-      for (let i = 0; i < x.length; i++) {
-        const y = valueAt(s, x[i]);
-        out[i] = Number.isFinite(y) && !(s.circular && i && out[i - 1] !== null && Math.abs(y - out[i - 1]) > 180) ? y : null;
-      }
-      return out;
-    }
+  // Where a heading wraps there is a gap of a pixel: less is not seen.
+  function sampled(s, { x, bucket, gap }) {
+    const out = new Array(x.length), wraps = [];
+    if (!s.v || s.dt * 2 > bucket) for (let i = 0; i < x.length; i++) {
+      const y = valueAt(s, x[i]);
+      out[i] = Number.isFinite(y) ? y : null;
+    } else extremes(s, x, bucket, out, wraps);
+    if (s.circular) for (let i = 1; i < out.length; i++) if (out[i] !== null && out[i - 1] !== null && Math.abs(out[i] - out[i - 1]) > 180) wraps.push(i);
+    for (const i of wraps) out.fill(null, Math.max(0, i - gap), i + gap + 1);
+    return out;
+  }
+
+  function extremes(s, x, bucket, out, wraps) {
     for (let i = 0; i < x.length; i += 2) {
       const from = Math.max(0, Math.ceil((x[i] - s.t0) / s.dt)), to = Math.min(s.v.length, Math.ceil((x[i] + bucket - s.t0) / s.dt));
       let low = Infinity, high = -Infinity, lowAt = 0, highAt = 0;
@@ -90,11 +95,10 @@
         if (y < low) { low = y; lowAt = k; }
         if (y > high) { high = y; highAt = k; }
       }
-      if (low > high || (s.circular && high - low > 180)) out[i] = out[i + 1] = null;
+      if (low > high) out[i] = out[i + 1] = null;
       else if (lowAt <= highAt) { out[i] = low; out[i + 1] = high; } else { out[i] = high; out[i + 1] = low; }
-      if (s.circular && i && out[i] !== null && out[i - 1] !== null && Math.abs(out[i] - out[i - 1]) > 180) out[i] = null;
+      if (s.circular && high - low > 180) wraps.push(i);
     }
-    return out;
   }
 
   // ------------------------------------------------------------------------------------------ estimators
@@ -111,6 +115,7 @@
     e.part = (name) => columns(e[name]);
     e.attitude = [0, 1, 2].map((k) => { let made; return () => (made ??= k === 2 ? circular(derived(sum(series(e.run.truth.attitude[k]), series(e.error[k])), compass)) : sum(series(e.run.truth.attitude[k]), series(e.error[k]))); });
   });
+  const ranked = estimators.toSorted((a, b) => (a.summary.tilt_rmse_deg ?? Infinity) - (b.summary.tilt_rmse_deg ?? Infinity));
   const from = Math.min(...data.runs.map((r) => r.from)), to = Math.max(...data.runs.map((r) => r.to));
   let focus = estimators[0], now = from, view = [from, to], playing = false;
   const shown = () => estimators.filter((e) => e.shown);
@@ -173,7 +178,7 @@
         cursor: { y: false, points: { show: false }, drag: { x: true, y: false, setScale: false }, bind: { dblclick: () => () => { setView(from, to); return null; } } },
         scales: { x: { time: false, range: () => [a, b] }, y: this.range ? { range: this.range } : this.robust && $("robust").checked ? { range: () => this.limits(a, b) } : {} },
         axes: [
-          { ...axis, size: 22, gap: 2, values: (_, v) => v.map((t) => `${+t.toFixed(2)} s`) },
+          { ...axis, size: 27, gap: 7, values: (_, v) => v.map((t) => `${+t.toFixed(2)} s`) },
           { ...axis, size: 56, gap: 4, ...(this.ticks ?? {}) },
         ],
         series: [
@@ -226,8 +231,9 @@
 
     caption() {
       if (!this.visible) return;
-      const parts = (this.drawn ?? []).filter((l) => l.label && !l.mute).slice(0, this.small ? 4 : 12)
-        .map((l) => { const s = element("span", { textContent: `${this.small ? "" : l.label + " "}${this.format(valueAt(l.s, now))}` }); s.style.color = l.color; return s; });
+      const others = new Set(this.small ? shown().filter((e) => e !== focus).map((e) => e.label) : []); // no room for their values
+      const parts = (this.drawn ?? []).filter((l) => l.label && !l.mute && !others.has(l.label)).slice(0, 12)
+        .map((l) => { const s = element("span", { textContent: `${l.label} ${this.format(valueAt(l.s, now))}` }); s.style.color = l.color; return s; });
       const beyond = this.robust && $("robust").checked && this.cut ? [element("span", { className: "note", textContent: `${this.cut} beyond the scale` })] : [];
       this.head.replaceChildren(element("b", { textContent: this.title + (this.unit ? `, ${this.unit}` : "") }), ...parts, ...beyond);
     }
@@ -474,7 +480,7 @@
         ...["within 3σ", "NEES", "NIS", "available"].map((k) => element("th", { textContent: k, className: "wide" }))));
     const percent = (x) => (x == null ? "–" : `${(100 * x).toFixed(x > 0.995 && x < 1 ? 1 : 0)} %`);
     const body = element("tbody");
-    for (const e of estimators) {
+    for (const e of ranked) {
       const s = e.summary;
       body.append(element("tr", { className: "first" }, name(e), element("td", { className: "l" }, badge(e)),
         ...measures.flatMap((m) => kinds.map((k, i) => {
@@ -503,7 +509,7 @@
     $("phases").replaceChildren(
       element("thead", {}, element("tr", {}, element("th"), ...used.map((p) => element("th", { className: "group", colSpan: 2, textContent: p }))),
         element("tr", {}, element("th", { textContent: "estimator" }), ...used.flatMap(() => keys.map((k, i) => element("th", { textContent: k, className: i ? "" : "gap" }))))),
-      element("tbody", {}, ...estimators.map((e) => element("tr", { className: "first" }, name(e), ...used.flatMap((p) => keys.map((k, i) => {
+      element("tbody", {}, ...ranked.map((e) => element("tr", { className: "first" }, name(e), ...used.flatMap((p) => keys.map((k, i) => {
         const v = value(e, p, k), cell = element("td", { className: "cell" + (i ? "" : " gap"), textContent: digits(v) });
         if (v > 0) { const u = element("u"); u.style.width = `${100 * (Math.log(v) - low) / (high - low)}%`; u.style.background = e.color(); cell.append(element("i", {}, u)); }
         return cell;
@@ -653,7 +659,7 @@
     });
     if (estimators.some((e) => e.status)) add("state", {
       title: `status: ${data.status.map((s, i) => `${i} ${s}`).join(", ")}`, height: 110, format: (x) => data.status[x] ?? "–", range: () => [-0.3, data.status.length - 0.5],
-      ticks: { incrs: [1] },
+      ticks: { incrs: [1], space: 12 },
       lines: () => shown().filter((e) => e.status).map((e) => ({ label: e.label, color: e.color(), s: steps(e.status), width: e === focus ? 2.4 : 1.4 })),
     });
     $("state-section").hidden = !$("state").childElementCount;
