@@ -6,6 +6,7 @@ import re
 import runpy
 import subprocess
 import tomllib
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from ahrs_sim import reference, scenario
 from ahrs_sim.errors import InputError
 from ahrs_sim.review import estimator_page
 from ahrs_sim.scenario.shipped import scenario_dir
-from estimators import Estimates, Samples, SensorInfo, Site
+from estimators import Estimates, Samples, SensorInfo, Site, describe
 
 ROOT = Path(__file__).parents[1]
 GRADES = ROOT / "ahrs_sim" / "sensors" / "grades"
@@ -109,6 +110,30 @@ def test_manoeuvres_say_what_they_need() -> None:
 def test_the_page_is_up_to_date() -> None:
     page = (ROOT / "docs" / "scenario.md").read_text(encoding="utf-8")
     assert page == reference.markdown(), "run: python -m ahrs_sim.reference"
+
+
+def test_the_readme_says_what_each_row_of_its_table_uses() -> None:
+    block = (
+        (ROOT / "README.md").read_text(encoding="utf-8").partition("<!-- circuit: begin -->")[2].partition("<!--")[0]
+    )
+    tables = re.findall(r"^```text\n(.*?)^```", block, re.MULTILINE | re.DOTALL)
+    plain_rows, aided_rows = (re.findall(r"^([\w-]+) +[\d.]+ / ", table, re.MULTILINE) for table in tables)
+    circuit = {e.name: e.settings for e in scenario.load("circuit").estimators}
+    assert sorted(plain_rows) == sorted(circuit)
+    legend = [pattern for row in re.findall(r"^\| `(.*?)` \|", block, re.MULTILINE) for pattern in row.split(", ")]
+    assert all(any(fnmatch(name, pattern) for pattern in legend) for name in circuit)
+    aided = {m.name: m.settings["heading_aid"].default for m in describe() if m.own and "heading_aid" in m.settings}
+    assert not aided["air-ins"]
+    assert not [n for n, s in circuit.items() if s.get("heading_aid", aided.get(str(s["method"]), False))]
+    assert sorted(aided_rows) == sorted(f"{n}-2ant" for n, s in circuit.items() if s["method"] in aided)
+    for condition in (
+        "scenario `circuit` (seed 1)",
+        "CHR-6dm and SBG IG-500 grades",
+        "vibration",
+        "wind 4 m/s",
+        "gusts",
+    ):
+        assert condition in " ".join(block.split()), condition
 
 
 def test_the_contract_describes_every_field() -> None:

@@ -32,6 +32,14 @@ def test_what_was_not_read_is_not_quoted() -> None:
         assert "as remembered" not in text, name
 
 
+def test_the_two_units_of_the_paper_say_what_their_papers_show() -> None:
+    """The IG-500's delays are in no public paper; the CHR-6dm's owner can calibrate it."""
+    delays = {part: entry for part, entry in load("sbg_ig500", SECTIONS).rows() if entry.key == "delay_ms"}
+    assert set(delays) == {"gyro", "accelerometer", "magnetometer"}
+    assert all(entry.mark == "inferred" and "not verified" in entry.source for entry in delays.values())
+    assert "calibrated on the bench" in load("chr_6dm", SECTIONS).title
+
+
 def test_a_dozen_units_from_the_shop_state_what_matters() -> None:
     imus = [name for name in names() if "imu" in load(name, SECTIONS) and name not in ("chr_6dm", "road_mems", "ideal")]
     assert len(imus) >= 13
