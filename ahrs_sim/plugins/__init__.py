@@ -13,6 +13,7 @@ from typing import Any
 
 import estimators
 from ahrs_sim.errors import InputError
+from ahrs_sim.plugins import border
 from ahrs_sim.plugins.border import Guarded, Processes
 from ahrs_sim.scenario.table import named_file
 from estimators import SensorInfo, Site
@@ -37,7 +38,7 @@ def create(
         settings: passed on.
 
     Raises:
-        InputError: a library that cannot be used.
+        InputError: a library that cannot be used, or a class whose constructor raises.
         SettingError: a class that cannot be used.
     """
     if method.startswith((LIBRARY, FMU)):
@@ -47,7 +48,12 @@ def create(
         path = located(method.partition(":")[2], folder)
         return Guarded(name, hosted(path, site=site, sensors=sensors, **settings))
     module = _importable(method, folder)
-    return Guarded(name, estimators.create(module, site=site, sensors=sensors, **settings))
+    try:
+        return Guarded(name, estimators.create(module, site=site, sensors=sensors, **settings))
+    except estimators.SettingError:
+        raise
+    except Exception as error:  # code of others: whatever it raises is theirs to know
+        raise InputError(f"estimator '{name}' cannot be made: {border.located(error)}") from error
 
 
 def _importable(method: str, folder: Path) -> str:

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+import estimators as library
 from ahrs_sim import attitude
 from ahrs_sim.flight.truth import Event
 from estimators import Estimates, Samples, Status
@@ -14,6 +15,9 @@ from estimators.types import blank
 
 NORM_TOLERANCE = 1e-3
 """How far the norm of `q_nb` and `down_b` may be from 1."""
+
+
+_OURS = Path(__file__).parents[1], Path(library.__file__).parent
 
 
 class Processes(Protocol):
@@ -48,7 +52,7 @@ class Guarded:
         try:
             estimates = self.estimator.process(samples)
         except Exception as error:  # code of others: whatever it raises ends this estimator and nothing else
-            return self._fail(samples, _where(error))
+            return self._fail(samples, located(error))
         own = getattr(self.estimator, "failure", None)
         if own is not None:
             return self._fail(samples, str(own))
@@ -130,11 +134,11 @@ def _misshapen(estimates: object, samples: Samples) -> str | None:
     return None
 
 
-def _where(error: Exception) -> str:
+def located(error: Exception) -> str:
     """Format an exception as one line with the innermost place in the user's code, not in a library that it calls."""
     frames = traceback.extract_tb(error.__traceback__)
-    home = Path(frames[min(1, len(frames) - 1)].filename).parent  # of `process`; the first is our call of it
-    within = [(frame, Path(frame.filename)) for frame in frames[1:]]
-    own = [f for f, p in within if home in p.parents and "site-packages" not in p.relative_to(home).parts]
+    known = [(f, Path(f.filename)) for f in frames if not any(o in Path(f.filename).parents for o in _OURS)]
+    home = known[0][1].parent if known else Path()  # of what we have called
+    own = [f for f, p in known if home in p.parents and "site-packages" not in p.relative_to(home).parts]
     frame = (own or frames)[-1]
     return f"{type(error).__name__}: {' '.join(str(error).split())} ({Path(frame.filename).name}, line {frame.lineno})"

@@ -228,8 +228,9 @@ def text(report: dict[str, Any]) -> str:
             print(f"{name:{width}s}{_cells(values['distribution'].get(figure, {}))}", file=out)
     if "paired" in report:
         _differences(report["paired"], width, out)
-    print(f"\nNEES and NIS per degree of freedom, mean of a run (1: consistent; above 1: overconfident)\n{'':{width}s}"
-          f"{'NEES p50':>9s}{'p95':>9s}{'NIS p50':>9s}{'p95':>9s}", file=out)  # fmt: skip
+    if estimators:
+        print("\nNEES and NIS per degree of freedom, mean of a run (1: consistent; above 1: overconfident)", file=out)
+        print(f"{'':{width}s}{'NEES p50':>9s}{'p95':>9s}{'NIS p50':>9s}{'p95':>9s}", file=out)
     for name, values in estimators.items():
         pairs = [values["consistency"].get(f, {}).get(q) for f in ("nees", "nis") for q in ("p50", "p95")]
         print(f"{name:{width}s}" + "".join(_number(x) for x in pairs), file=out)

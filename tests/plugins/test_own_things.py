@@ -1,5 +1,6 @@
 """A user's own class, grade and choice of estimators, each in a file of its own."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +81,19 @@ def test_a_class_that_fails_is_one_line_with_its_place(
     assert cli.main(["fly", path, "-o", str(tmp_path / "x.mcap"), "--quiet"]) == 1
     line = capsys.readouterr().err
     assert line.count("\n") == 1 and "estimator 'mine'" in line and reason in line
+
+
+def test_a_constructor_that_fails_is_one_line_with_its_place(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "unmade.py").write_text(
+        "import math\nclass Unmade:\n    def __init__(self, site, sensors):\n        self.gain = math.log(0.0)\n"
+        "    def process(self, samples):\n        return None\n"
+    )
+    assert cli.main(["fly", flight(tmp_path, "unmade:Unmade"), "-o", str(tmp_path / "x.mcap"), "--quiet"]) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert re.search(r"estimator 'mine' cannot be made: ValueError: .* \(unmade.py, line 4\)", line)
 
 
 def test_a_quaternion_of_another_length_is_no_attitude(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
