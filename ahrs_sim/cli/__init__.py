@@ -13,6 +13,7 @@ from ahrs_sim.cli import (
     allan,
     bound,
     budget,
+    calibrate,
     campaign,
     certify,
     check,
@@ -39,7 +40,7 @@ from estimators.errors import EstimationError
 # in the order of `ahrs-sim --help`
 _COMMANDS = (
     fly, serve, replay, compare, info, export, recover, allan, check, campaign, certify, choose, budget, bound, tune,
-    papers, aircraft, new, export_code, export_fmu, export_page, listing, schema,
+    calibrate, papers, aircraft, new, export_code, export_fmu, export_page, listing, schema,
 )  # fmt: skip
 
 

@@ -229,15 +229,18 @@ class Converter:
             gyro[~empty & (vector(array["angular_velocity"]) == 0.0).all(axis=1)] = np.nan
             accel[empty] = np.nan
         self.counts["imu: without forces, taken from the neighbours"] += int(np.sum(np.isnan(accel).any(axis=1)))
-        accel = _filled(array["log_time"], accel)
-        return {"gyro_b": gyro @ axes.T, "accel_b": accel @ axes.T}
+        gyro, accel = gyro @ axes.T, _filled(array["log_time"], accel) @ axes.T
+        if (correction := self.mapping.correction) is not None:
+            gyro, accel = correction.gyro.applied(gyro), correction.accelerometer.applied(accel)
+        return {"gyro_b": gyro, "accel_b": accel}
 
     def _mag(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
         axes = self.mapping.mag_axes(choice.body)
         raw = self.mapping.mag_unit * field(array)
         raw[~raw.any(axis=1)] = np.nan  # no place on Earth is without a field
         self.counts["mag: without a field"] += int(np.sum(np.isnan(raw).any(axis=1)))
-        return {"mag_b": (raw - self.calibration.hard_iron) @ (axes @ self.calibration.soft_iron).T}
+        mag_b = (raw - self.calibration.hard_iron) @ (axes @ self.calibration.soft_iron).T
+        return {"mag_b": self.mapping.corrected(mag_b)}
 
     def _fix(self, array: np.ndarray, choice: Choice) -> dict[str, np.ndarray]:
         lla = np.column_stack([array["latitude"], array["longitude"], array["altitude"]])

@@ -2,6 +2,7 @@
 
 Everything in a map is optional:
 
+    correction = "unit.toml"    # taken off the readings in the vehicle's axes (`ahrs_sim.sensors.correction`)
     [topics]                # imu, accel (where apart), mag, fix, velocity, heading, diff_pressure, static_pressure,
                             # air, reference
     imu = "/imu/data_raw"
@@ -55,6 +56,8 @@ from ahrs_sim.recordings.frames import ORIENTATIONS
 from ahrs_sim.recordings.sources import UNITS
 from ahrs_sim.scenario import Component, Gate, estimator_component
 from ahrs_sim.scenario.table import Table
+from ahrs_sim.sensors import correction as corrections
+from ahrs_sim.sensors.correction import Correction
 from estimators.types import SensorInfo
 
 _FOREIGN = Gate()
@@ -94,6 +97,7 @@ class Map:
     hard_iron: np.ndarray  # (3,) T, in the axes of the messages
     soft_iron: np.ndarray  # (3, 3)
     has_iron: bool  # given, if only as none
+    correction: Correction | None  # of the readings in the vehicle's axes
     gyro_unit: float  # rad/s
     accel_unit: float  # m/s2
     gyro_bias: np.ndarray  # (3,) rad/s
@@ -110,6 +114,10 @@ class Map:
         axes: np.ndarray = self.mount @ self.mag_mount @ frames.to_frd(body)
         return axes
 
+    def corrected(self, mag_b: np.ndarray) -> np.ndarray:
+        """Take the unit's correction off readings (n, 3) of the magnetometer, T, vehicle's axes."""
+        return mag_b if self.correction is None else self.correction.magnetometer.applied(mag_b)
+
 
 def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
     """Load the user's map; without a path an empty one. Its estimators run code from outside that `gate` allows.
@@ -119,8 +127,10 @@ def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
     """
     table = presets.read(path) if path else Table({}, "no map")
     table.text("preset", "")  # the map that it builds on: already taken into it
+    named = table.text("correction", None)
+    correction = None if named is None else corrections.load(named, table.where)
     topics = table.table("topics")
-    named = {kind: topics.text(kind) for kind in KINDS if topics.has(kind)}
+    by_kind = {kind: topics.text(kind) for kind in KINDS if topics.has(kind)}
     topics.close()
     axes = table.table("frames")
     body, world = axes.choice("body", frames.BODIES, None), axes.choice("world", frames.WORLDS, None)
@@ -133,7 +143,7 @@ def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
     mount = _rotation(mounting)
     mounting.close()
     mag = table.table("magnetometer")
-    has_iron = mag.has("hard_iron") or mag.has("soft_iron")
+    has_iron = mag.has("hard_iron") or mag.has("soft_iron") or correction is not None
     unit = UNITS[mag.choice("unit", ["T", "uT", "nT", "G", "mG"], "T")]
     hard = mag.vector("hard_iron", [0.0, 0.0, 0.0]) * unit
     soft = mag.vector("soft_iron", np.eye(3).ravel().tolist(), size=9).reshape(3, 3)
@@ -156,7 +166,7 @@ def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
     mapping = Map(
         where=table.where,
         table=table,
-        topics=named,
+        topics=by_kind,
         body=body,
         world=world,
         reference_body=reference[0],
@@ -167,6 +177,7 @@ def load(path: Path | None, gate: Gate = _FOREIGN) -> Map:
         hard_iron=hard,
         soft_iron=soft,
         has_iron=has_iron,
+        correction=correction,
         gyro_unit=gyro_unit,
         accel_unit=accel_unit,
         gyro_bias=gyro_bias,

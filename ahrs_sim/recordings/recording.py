@@ -154,7 +154,7 @@ def _opened(
     track = inertial.track(seen, gravity_at(lla), lever=True)
     calibration, kept, left = _calibrated(seen, map_, chosen, calibrate, norm, track, notes)
     axes = map_.mag_axes(chosen["mag"].body if "mag" in chosen else "FLU")
-    mag_b = (seen.mag - calibration.hard_iron) @ (axes @ calibration.soft_iron).T
+    mag_b = map_.corrected((seen.mag - calibration.hard_iron) @ (axes @ calibration.soft_iron).T)
     if model is None:
         model = survey.field_at_rest(seen, mag_b)
         if model is not None:
@@ -182,7 +182,7 @@ def _opened(
         gravity=gravity_at(lla) if place else gravity.STANDARD,
         mag_n=_NO_FIELD if model is None else (float(model[0]), float(model[1]), float(model[2])),
     )
-    figures = {"rate": seen.rate}
+    figures = {"rate": seen.rate} | (map_.correction.sheet({}) if map_.correction else {})
     if math.isfinite(left):
         figures["mag_bias"] = math.hypot(SensorInfo().mag_bias, left)
     sensors = SensorInfo(**{**figures, **map_.sensors})

@@ -154,7 +154,8 @@ def plan(
     for fault in data.get("fault", ()):
         fault.pop("suite", None)
     first: dict[str, Any] = next(iter(data["suite"].values()), {})
-    mounted = {k: v for k, v in first.items() if k not in ("grade", "instruments", "rate_hz")}
+    own = ("grade", "instruments", "rate_hz", "unit_seed", "correction")
+    mounted = {k: v for k, v in first.items() if k not in own}
     chosen = {scenarios.short_name(m): {"method": m} for m in methods} or ESTIMATORS
     data["suite"] = {name: {**mounted, "grade": grade} for name, (_, grade) in made.items()}
     data["estimator"] = {f"{e}-{s}": {**settings, "suite": s} for s in made for e, settings in chosen.items()}

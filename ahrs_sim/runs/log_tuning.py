@@ -135,7 +135,13 @@ class Tuned:
 
 
 def read(
-    path: Path, estimator: str, *, map_file: Path | None = None, reference: str | None = None, gate: Gate
+    path: Path,
+    estimator: str,
+    *,
+    map_file: Path | None = None,
+    reference: str | None = None,
+    calibrate: Sequence[str] = ("auto",),
+    gate: Gate,
 ) -> Recorded:
     """Read the sensors of a log or a recording once, as an estimator gets them.
 
@@ -144,6 +150,7 @@ def read(
         estimator: one of the log's, METHOD@SUITE, or METHOD.
         map_file: what topics and axes of a recording mean.
         reference: topic of a recording's reference attitude.
+        calibrate: what to take out of a recording's sensors first, see `recordings.recording.open_bag`.
         gate: what code from outside may run.
 
     Raises:
@@ -160,7 +167,7 @@ def read(
 
     blocks, attitudes, assembler = [], [], Assembler()
     with open_bag(
-        path, map_file=map_file, names=[estimator], calibrate=("auto",), sync=True, reference=reference, gate=gate
+        path, map_file=map_file, names=[estimator], calibrate=calibrate, sync=True, reference=reference, gate=gate
     ) as bag:
         for block in bag.blocks():
             records = block[SUITE]

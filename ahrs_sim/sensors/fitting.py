@@ -18,7 +18,8 @@ class Fitting:
     suite: str
     grade: Grade
     faults: Faults
-    seed: int
+    seed: int  # of the flight
+    unit_seed: int  # of what is built into the unit
     dt: float  # s between rows of the truth
     epoch: datetime.datetime
     start_lla: np.ndarray  # (3,) rad, rad, m
@@ -40,7 +41,11 @@ class Fitting:
         return seeds.generator(self.seed, "suite", self.suite, *name)
 
     def normal(self, instrument: str, term: str, *shape: int) -> np.ndarray:
-        """Draw standard normal numbers of `shape` for an error term of this flight, from a stream of its own."""
+        """Draw standard normal numbers of `shape` for an error term of this unit, from a stream of its own."""
+        return seeds.generator(self.unit_seed, "suite", self.suite, instrument, term).standard_normal(shape)
+
+    def anew(self, instrument: str, term: str, *shape: int) -> np.ndarray:
+        """Draw standard normal numbers of `shape` for an error that is another at each switch-on."""
         return self.stream(instrument, term).standard_normal(shape)
 
     def world(self, name: str) -> np.random.Generator:

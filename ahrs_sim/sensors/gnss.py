@@ -116,7 +116,7 @@ class Gnss:
              gauss_markov(f.velocity_wander, f.wander_time, self.period, fitting.stream("gnss", "velocity wander"))),
         ]  # fmt: skip
         self.sigma = np.sqrt(f.position_noise**2 + f.position_wander**2)
-        self.start_up = fitting.normal("gnss", "start-up", 3) * f.start_up
+        self.start_up = fitting.anew("gnss", "start-up", 3) * f.start_up
         self._lagging: tuple[np.ndarray, np.ndarray] | None = None  # m/s, filtered and true velocity at the last fix
         if f.undeclared > f.latency:
             raise InputError(

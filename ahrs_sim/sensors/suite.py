@@ -7,6 +7,8 @@ yaw_deg = 90.0                       # mounting (roll, pitch, yaw), known to the
 mounting_error_deg = [0.0, 0.3, 0.0] # and what it does not know of its mounting
 instruments = ["imu", "magnetometer"] # absent: all that the grade has
 rate_hz = 100.0                      # of the IMU
+unit_seed = 7                        # the same unit in flights of other seeds; absent: another unit each flight
+correction = "unit.toml"             # taken off its readings (`ahrs_sim.sensors.correction`)
 gyro.noise_density_dps_rthz = 0.05   # any figure of the grade
 """
 
@@ -22,8 +24,10 @@ from ahrs_sim.errors import InputError, nearest
 from ahrs_sim.flight.truth import Event, Truth
 from ahrs_sim.scenario import Component
 from ahrs_sim.scenario.table import Table
+from ahrs_sim.sensors import correction as corrections
 from ahrs_sim.sensors import grade as grade_files
 from ahrs_sim.sensors.air_data import AirData, AirFigures
+from ahrs_sim.sensors.correction import Correction
 from ahrs_sim.sensors.faults import make_faults
 from ahrs_sim.sensors.fitting import Fitting
 from ahrs_sim.sensors.gnss import Gnss, GnssFigures, Sky
@@ -78,11 +82,11 @@ class Instrument(Protocol):
 class Suite:
     """The instruments of one unit; made by `make_suite`."""
 
-    def __init__(self, fitting: Fitting, has: Sequence[str]) -> None:
+    def __init__(self, fitting: Fitting, has: Sequence[str], correction: Correction | None) -> None:
         self.name = fitting.suite
         self.grade = fitting.grade
         self.has = tuple(has)  # of `INSTRUMENTS`
-        self._faults = fitting.faults
+        self._faults, self._correction = fitting.faults, correction
         imu = Imu(fitting)
         sky = Sky(fitting.figures("gnss", GnssFigures), fitting.epoch, fitting.faults)
         make: dict[str, Callable[[], Instrument]] = {
@@ -109,7 +113,7 @@ class Suite:
         block: SuiteBlock = {}
         for instrument in self._instruments:
             block.update(instrument.sense(truth))
-        return block
+        return block if self._correction is None else self._correction.records(block)
 
     def take_events(self) -> list[Event]:
         """Collect the events of faults that began or ended since the last call."""
@@ -121,7 +125,7 @@ class Suite:
         values: dict[str, Any] = {}
         for instrument in self._instruments:
             values |= instrument.info()
-        return SensorInfo(**values)
+        return SensorInfo(**(values if self._correction is None else self._correction.sheet(values)))
 
     def drawn(self) -> dict[str, np.ndarray]:
         """Return the errors that were drawn for this flight, SI, in the sensors' axes."""
@@ -134,7 +138,7 @@ class Suite:
             flat[f"{section}.{entry.key}"] = f"{entry.text} ({entry.mark}: {entry.source})"
         for name, value in self.drawn().items():
             flat[f"drawn.{name}"] = " ".join(repr(float(x)) for x in value.ravel())
-        return flat
+        return flat | (self._correction.specification() if self._correction else {})
 
 
 def make_suite(
@@ -161,6 +165,9 @@ def make_suite(
     error = np.radians(table.vector("mounting_error_deg", [0.0, 0.0, 0.0]))
     wanted = table.value("instruments", None)
     rate = table.number("rate_hz", None, above=0.0)
+    unit_seed = table.integer("unit_seed", minimum=0) if table.has("unit_seed") else seed
+    corrected = table.text("correction", None)
+    correction = None if corrected is None else corrections.load(corrected, component.where)
     grade = grade_files.load(name, SECTIONS, _with_rate(table.rest(), rate), component.where)
     has = _choose(grade, wanted, table)
     fitting = Fitting(
@@ -168,6 +175,7 @@ def make_suite(
         grade=grade,
         faults=make_faults(faults, suite=component.name, instruments=has, seed=seed),
         seed=seed,
+        unit_seed=unit_seed,
         dt=dt,
         epoch=epoch,
         start_lla=start_lla,
@@ -176,7 +184,7 @@ def make_suite(
         mounting_error=attitude.matrix(*error).T,
         where=component.where,
     )
-    return Suite(fitting, has)
+    return Suite(fitting, has, correction)
 
 
 def grades() -> list[dict[str, str]]:

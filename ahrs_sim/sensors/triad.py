@@ -6,7 +6,8 @@
     sent = quantise(clip(y)), turned back into body axes by the mounting that the unit knows
 
 S scale factors, M misalignment and cross-axis sensitivity, k non-linearity, G g-sensitivity, v vibration rectification
-with a the vibration's rms acceleration. S, M, k, G, v and the turn-on bias are drawn once a flight.
+with a the vibration's rms acceleration. S, M, k, G, v and the turn-on bias are drawn once a flight; all but the
+turn-on bias of gyro and accelerometer once a unit, where the suite says which (`unit_seed`).
 """
 
 import math
@@ -97,6 +98,7 @@ class Triad:
         matrix += f.cross_axis * fitting.normal(name, "cross-axis", 3, 3)
         np.fill_diagonal(matrix, 1.0 + f.scale * fitting.normal(name, "scale", 3))
         finite = np.isfinite(f.range)
+        draw_bias = fitting.anew if isinstance(f, InertialFigures) else fitting.normal  # iron stays where it is
         square = fitting.normal(name, "non-linearity", 3) * f.non_linearity
         self.errors = TriadErrors.of(
             true_mount=np.einsum("ij,jk->ik", fitting.mounting_error, fitting.mount),
@@ -106,7 +108,7 @@ class Triad:
             g_matrix=fitting.normal(name, "g-sensitivity", 3, 3) * getattr(f, "g_sensitivity", 0.0),
             rectification=fitting.normal(name, "rectification", 3) * getattr(f, "vibration_rectification", np.zeros(3)),
             temperature=fitting.normal(name, "temperature", 3) * f.temperature_drift,
-            turn_on=fitting.normal(name, "turn-on", 3) * f.turn_on_bias,
+            turn_on=draw_bias(name, "turn-on", 3) * f.turn_on_bias,
             quantum=f.quantum,
             own_input=not isinstance(f, GyroFigures),
         )

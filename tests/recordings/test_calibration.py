@@ -72,3 +72,26 @@ def test_what_is_printed_goes_into_a_map(tmp_path, capsys) -> None:  # type: ign
     with open_bag(tmp_path / "a.mcap", map_file=tmp_path / "m.toml", calibrate=["auto"]) as bag:
         assert not any("calibration" in note for note in bag.notes)
         assert not any(note.startswith("check") for note in bag.notes)
+
+
+def test_a_correction_is_taken_off_the_readings_in_the_vehicles_axes(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    from ahrs_sim.sensors import correction
+
+    write_bag(tmp_path / "a.mcap", motion(20.0, still=5.0))
+    (tmp_path / "unit.toml").write_text(
+        "[gyro]\nmatrix = [1.01, 0.02, 0, 0, 1, -0.01, 0, 0, 0.99]\nmatrix_sigma = [0,0,0, 0,0,0, 0,0,0]\n"
+        "[accelerometer]\nmatrix = [1, 0.02, 0, 0, 1.02, 0, 0.03, 0, 1]\nbias = [0.1, 0, 0]\n"
+        "[magnetometer]\nmatrix = [1, 0, 0.02, 0, 1, 0, 0, 0.03, 0.98]\nbias = [1e-6, 0, -2e-6]\n"
+    )
+    (tmp_path / "m.toml").write_text("correction = 'unit.toml'\n")
+    (tmp_path / "as_is.toml").write_text("[magnetometer]\nhard_iron = [0, 0, 0]\n")
+    found = []
+    for name in ("as_is.toml", "m.toml"):
+        with open_bag(tmp_path / "a.mcap", map_file=tmp_path / name, calibrate=["auto"]) as bag:
+            blocks = [block["bag"] for block in bag.blocks()]
+            found.append({k: np.concatenate([getattr(b[r], k) for b in blocks])
+                          for r, k in (("imu", "gyro_b"), ("imu", "accel_b"), ("mag", "mag_b"))})  # fmt: skip
+            assert (bag.sensors.gyro_misalignment == 0.0) == (name == "m.toml")
+    unit = correction.load("unit.toml", str(tmp_path / "m.toml"))
+    for triad, column in ((unit.gyro, "gyro_b"), (unit.accelerometer, "accel_b"), (unit.magnetometer, "mag_b")):
+        np.testing.assert_allclose(found[1][column], triad.applied(found[0][column]), rtol=1e-12)

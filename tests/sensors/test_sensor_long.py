@@ -28,6 +28,7 @@ def standing(grade: str, sensor: str, rate: float, hours: float = HOURS) -> tupl
         grade=loaded,
         faults=Faults([], "bench"),
         seed=4,
+        unit_seed=4,
         dt=1.0 / rate,
         epoch=EPOCH,
         start_lla=START,
