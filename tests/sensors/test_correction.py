@@ -102,5 +102,5 @@ def test_a_wrong_file_is_one_line(tmp_path: Path, text: str, words: str) -> None
     (tmp_path / "unit.toml").write_text(text)
     with pytest.raises(InputError, match=words):
         suite("chr_6dm", correction=str(tmp_path / "unit.toml"))
-    with pytest.raises(InputError, match="correction: none.toml: no such file"):
+    with pytest.raises(InputError, match="no such file beside it"):
         suite("chr_6dm", correction="none.toml")
