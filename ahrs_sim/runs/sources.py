@@ -11,6 +11,7 @@ import estimators
 from ahrs_sim.flight.jsbsim_flight import model_files
 from ahrs_sim.plugins import FMU, LIBRARY, located
 from ahrs_sim.scenario import Scenario
+from ahrs_sim.sensors import correction as corrections
 from ahrs_sim.sensors import grade
 from ahrs_sim.sensors.suite import SECTIONS
 
@@ -18,7 +19,7 @@ _KINDS = {".py", ".toml", ".xml"}
 
 
 def digests(scenario: Scenario, code: Sequence[str]) -> dict[str, str]:
-    """Digest the sources of the project, the scenario's aircraft, the user's own grades and code from outside, by name.
+    """Digest the sources of the project, the scenario's aircraft, own grades and corrections, code from outside, by name.
 
     Raises:
         InputError: an aircraft that cannot be loaded, or a file of an estimator that is not there.
@@ -31,6 +32,9 @@ def digests(scenario: Scenario, code: Sequence[str]) -> dict[str, str]:
         if ".toml" in name:  # of the user's own; the shipped ones are sources of the project
             figures = repr(grade.load(name, SECTIONS, where=suite.where).layer)
             ours[name] = hashlib.sha256(figures.encode()).hexdigest()[:16]
+        if correction := suite.settings.get("correction"):
+            name = str(correction)
+            ours[name] = hashlib.sha256(repr(corrections.load(name, suite.where)).encode()).hexdigest()[:16]
     return ours | {method: _digest(_files(method, Path(scenario.where).parent)) for method in code}
 
 

@@ -373,8 +373,9 @@ class Calibrate(Manoeuvre):
 
     def read(self, table: Table) -> None:
         self.bank = math.radians(table.number("bank_deg", 60.0, minimum=10.0, maximum=75.0))
-        made = [self.made(part, table.where) for part in self.PARTS]
-        level = Table({"for_s": 2.0}, table.where)
+        where = f"{table.where}: part"  # keys of the parts are not keys of this step
+        made = [self.made(part, where) for part in self.PARTS]
+        level = Table({"for_s": 2.0}, where)
         self.parts: list[Manoeuvre] = [one for part in made for one in (part, Straight(level))]
 
     def made(self, part: str | float, where: str) -> Manoeuvre:
