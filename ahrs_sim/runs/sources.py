@@ -19,7 +19,7 @@ _KINDS = {".py", ".toml", ".xml"}
 
 
 def digests(scenario: Scenario, code: Sequence[str]) -> dict[str, str]:
-    """Digest the sources of the project, the scenario's aircraft, own grades and corrections, code from outside, by name.
+    """Digest the sources of the project, the aircraft, own grades and corrections, and code from outside, by name.
 
     Raises:
         InputError: an aircraft that cannot be loaded, or a file of an estimator that is not there.
