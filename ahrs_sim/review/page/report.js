@@ -111,11 +111,12 @@
   estimators.forEach((e, i) => {
     e.label = data.runs.length > 1 ? `${e.run.label}: ${e.name}` : e.name;
     e.color = () => colorOf(data.runs.length > 1 ? i : run_index(e));
-    e.shown = i < SHOWN;
     e.part = (name) => columns(e[name]);
     e.attitude = [0, 1, 2].map((k) => { let made; return () => (made ??= k === 2 ? circular(derived(sum(series(e.run.truth.attitude[k]), series(e.error[k])), compass)) : sum(series(e.run.truth.attitude[k]), series(e.error[k]))); });
   });
-  const ranked = estimators.toSorted((a, b) => (a.summary.tilt_rmse_deg ?? Infinity) - (b.summary.tilt_rmse_deg ?? Infinity));
+  const rank = (e) => e.summary.tilt_rmse_deg ?? 1e9;
+  estimators.sort((a, b) => rank(a) - rank(b)); // colours stay those of the order in the log
+  estimators.forEach((e, i) => { e.shown = i < SHOWN; });
   const from = Math.min(...data.runs.map((r) => r.from)), to = Math.max(...data.runs.map((r) => r.to));
   let focus = estimators[0], now = from, view = [from, to], playing = false;
   const shown = () => estimators.filter((e) => e.shown);
@@ -174,7 +175,7 @@
       const blank = { stroke: "transparent", width: 0, points: { show: false } };
       const axis = { stroke: css("--dim"), grid: { stroke: css("--grid"), width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif" };
       const opts = {
-        width, height: this.height, legend: { show: false }, padding: [6, 8, 0, 0],
+        width, height: this.height, legend: { show: false }, padding: [6, 16, 0, 0],
         cursor: { y: false, points: { show: false }, drag: { x: true, y: false, setScale: false }, bind: { dblclick: () => () => { setView(from, to); return null; } } },
         scales: { x: { time: false, range: () => [a, b] }, y: this.range ? { range: this.range } : this.robust && $("robust").checked ? { range: () => this.limits(a, b) } : {} },
         axes: [
@@ -480,7 +481,7 @@
         ...["within 3σ", "NEES", "NIS", "available"].map((k) => element("th", { textContent: k, className: "wide" }))));
     const percent = (x) => (x == null ? "–" : `${(100 * x).toFixed(x > 0.995 && x < 1 ? 1 : 0)} %`);
     const body = element("tbody");
-    for (const e of ranked) {
+    for (const e of estimators) {
       const s = e.summary;
       body.append(element("tr", { className: "first" }, name(e), element("td", { className: "l" }, badge(e)),
         ...measures.flatMap((m) => kinds.map((k, i) => {
@@ -509,7 +510,7 @@
     $("phases").replaceChildren(
       element("thead", {}, element("tr", {}, element("th"), ...used.map((p) => element("th", { className: "group", colSpan: 2, textContent: p }))),
         element("tr", {}, element("th", { textContent: "estimator" }), ...used.flatMap(() => keys.map((k, i) => element("th", { textContent: k, className: i ? "" : "gap" }))))),
-      element("tbody", {}, ...ranked.map((e) => element("tr", { className: "first" }, name(e), ...used.flatMap((p) => keys.map((k, i) => {
+      element("tbody", {}, ...estimators.map((e) => element("tr", { className: "first" }, name(e), ...used.flatMap((p) => keys.map((k, i) => {
         const v = value(e, p, k), cell = element("td", { className: "cell" + (i ? "" : " gap"), textContent: digits(v) });
         if (v > 0) { const u = element("u"); u.style.width = `${100 * (Math.log(v) - low) / (high - low)}%`; u.style.background = e.color(); cell.append(element("i", {}, u)); }
         return cell;
@@ -552,7 +553,7 @@
     $("legend").replaceChildren(truth, ...found.map((e) => {
       const dot = element("span", { className: "dot" }), button = element("button", { className: e.shown ? "" : "off", title: "show or hide" }, dot, e.label);
       dot.style.background = e.color();
-      button.onclick = () => { e.shown = !e.shown; legend(); redraw(); track(); };
+      button.onclick = () => { e.shown = !e.shown; legend(); redraw(); track(); tabs(); };
       return button;
     }), element("span", { className: "grow" }), ...(focus.run.phase.length ? data.phases : []).map((phase, i) => {
       const dot = element("span", { className: "dot" });
@@ -665,16 +666,20 @@
     $("state-section").hidden = !$("state").childElementCount;
   }
 
-  let worst = [];
-  function windows(chosen) {
-    const list = estimators.filter((e) => e.worst);
-    $("worst-section").hidden = !list.length || campaign;
-    if (!list.length || campaign) return;
-    $("tabs").replaceChildren(...list.map((e) => {
-      const button = element("button", { className: e === chosen ? "on" : "", textContent: `${e.label}, ${e.worst.from.toFixed(0)}–${e.worst.to.toFixed(0)} s` });
+  let worst = [], seen = null; // the plots, and the estimator whose worst seconds they show
+  function tabs() {
+    $("tabs").replaceChildren(...estimators.filter((e) => e.worst && (e.shown || e === seen)).map((e) => {
+      const button = element("button", { className: e === seen ? "on" : "", textContent: `${e.label}, ${e.worst.from.toFixed(0)}–${e.worst.to.toFixed(0)} s` });
       button.onclick = () => { choose(e); setNow(e.worst.from); };
       return button;
     }));
+  }
+
+  function windows(chosen) {
+    $("worst-section").hidden = !chosen || campaign;
+    if ($("worst-section").hidden) return;
+    seen = chosen;
+    tabs();
     worst.forEach((p) => p.remove());
     const span = [chosen.worst.from - 1, chosen.worst.to + 1];
     worst = [2, 1, 0].map((k) => attitudePlot($("worst"), k, { span: () => span, height: 240, small: true }));
