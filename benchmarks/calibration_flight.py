@@ -13,8 +13,10 @@ rolls and a loop 0.36 / 0.32 after 34 s. Lower it cannot be made: a rotation tha
 (misalignments of half a degree each: 0.22 deg an axis, 0.31 in tilt) is one of the unit in the aircraft, and no flight
 shows it.
 
-Without `--search`: `ins-cal` on the circuit with and without `calibrate` after the first climb, same seeds, RMS of tilt
-and heading from the end of that climb, and of `calibrate`, to the landing, GNSS alone; and the bound of the first seed.
+Without `--search`: what it brings. A unit (its seed) flies `calibration`, `ahrs-sim calibrate` makes a correction of
+what `ins-cal` has learnt, and the circuit is flown on another day (another seed: noise, turn-on biases, field) with
+that unit as it comes and corrected, GNSS alone; RMS from 80 s on. `benchmarks/turns_accuracy.py --calibrations N` puts
+the table into docs/accuracy.md.
 """
 
 import argparse
@@ -22,20 +24,25 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
+import turns_accuracy
 
 import estimators
 from ahrs_sim import attitude, scenario
-from ahrs_sim.chain import Chain, site
-from ahrs_sim.evaluation import consistency, metrics
-from ahrs_sim.evaluation.metrics import Measure
+from ahrs_sim.chain import site
 from ahrs_sim.flight import open_flight
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.runs.bound import PHI, STEP_S, Model, Recursion
+from ahrs_sim.runs.calibrate import calibrate
+from ahrs_sim.runs.log_tuning import Recorded
 from ahrs_sim.sensors import make_suite
+from ahrs_sim.sensors.correction import Correction
+from estimators.types import SensorInfo
 
+SUITE, METHODS, GOAL, START, OTHER_DAY = "chr", ("ins21", "ins-cal"), (0.3, 0.3), 80.0, 1000
 Step = Mapping[str, Any]
 Before = tuple[np.ndarray, np.ndarray | None]  # covariance of the errors, and the attitude that it is of
 AIDS = ("magnetometer", "gnss")
@@ -147,47 +154,56 @@ def search(seconds: float, parts: Mapping[str, Step]) -> list[str]:
         print(f"{best:12s} {took:5.0f} s   {tilt:.3f} / {heading:.3f} deg afterwards", flush=True)
 
 
-def circuit(calibrated: bool) -> list[Step]:
-    """The circuit's steps, with `calibrate` after the first climb or without."""
-    steps = [dict(step) for step in scenario.load("circuit").data["step"]]
-    climb = next(k for k, step in enumerate(steps) if step["do"] == "climb")
-    return [*steps[: climb + 1], *([{"do": "calibrate"}] if calibrated else []), *steps[climb + 1 :]]
+def flown(seed: int) -> dict[str, dict[str, float | None]]:
+    """Figures of the navigators on the circuit of a unit, as it comes and corrected after its calibration flight."""
+    known = scenario.load("calibration").data | {"estimator": {}}
+    _, sent = turns_accuracy.sensed(scenario.parse(known, "calibration", "calibration", seed=seed), (SUITE,))
+    one = sent[SUITE]
+    settings = {"heading_aid": False}
+    found = calibrate(Recorded(one.samples, one.place, one.sheet, "ins-cal", settings), "calibration")
+    known = scenario.load("circuit").data | {"estimator": {}}
+    known["suite"] = {SUITE: known["suite"][SUITE] | {"unit_seed": seed}}
+    what = scenario.parse(known, "circuit", "circuit", seed=seed + OTHER_DAY)
+    truth, sent = turns_accuracy.sensed(what, (SUITE,))
+    figures = {}
+    for name, one in (("as it comes", sent[SUITE]), ("corrected", corrected(sent[SUITE], found.correction))):
+        for method in METHODS:
+            estimator: Any = estimators.create(method, site=one.place, sensors=one.sheet, **settings)
+            made, plain = estimator.process(one.samples), method == "ins-cal"
+            figures[f"{method} {name}"] = turns_accuracy.figures_of(made, truth, one, START, math.inf, plain)
+    return figures
 
 
-def flown(seed: int, calibrated: bool, dual: bool) -> list[float]:
-    """Tilt and heading RMS (deg) and NEES per degree of freedom of `ins-cal` from the climb, or `calibrate`, on."""
-    what = made(circuit(calibrated), seed)
-    flight = open_flight(what)
-    place = site(flight.start_lla, what.epoch)
-    suite = make_suite(what.suites[0], seed=seed, dt=flight.dt, epoch=what.epoch, start_lla=np.array(place.lla))
-    chain = Chain(suite, {})
-    estimator: Any = estimators.create("ins-cal", site=place, sensors=suite.info, heading_aid=dual)
-    last = "(calibrate) ends" if calibrated else "(climb) ends"
-    begun, rows, errors, squares = math.inf, [], [], []
-    while len(truth := flight.fly(2000)):
-        begun = min([begun, *(e.t for e in flight.take_events() if e.text.endswith(last))])
-        estimates = estimator.process(chain.assemble(chain.sense(truth)))
-        rows.append(estimates)
-        reference = metrics.interpolate(truth.t, truth.q_nb, estimates.t)
-        errors.append(metrics.attitude_errors(estimates.q_nb, estimates.down_b, reference))
-        squares.append(consistency.attitude_nees(estimates.q_nb, estimates.att_cov, reference))
-    if flight.error:
-        raise SystemExit(f"seed {seed}: {flight.error}")
-    after = np.concatenate([e.t for e in rows]) > begun
-    error = np.concatenate(errors)[after]
-    tilt, heading = (float(np.degrees(np.sqrt(np.nanmean(error[:, m] ** 2)))) for m in (Measure.TILT, Measure.HEADING))
-    return [tilt, heading, float(np.nanmean(np.concatenate(squares)[after])) / 3.0]
+def corrected(one: turns_accuracy.Sensed, unit: Correction) -> turns_accuracy.Sensed:
+    """What the same unit would have sent with the correction, and its data sheet then."""
+    samples = replace(
+        one.samples,
+        gyro_b=unit.gyro.applied(one.samples.gyro_b),
+        accel_b=unit.accelerometer.applied(one.samples.accel_b),
+        mag_b=unit.magnetometer.applied(one.samples.mag_b),
+    )
+    return replace(one, samples=samples, sheet=SensorInfo(**unit.sheet(asdict(one.sheet))))
 
 
-def measure(seeds: Sequence[int], dual: bool, jobs: int) -> None:
-    """Print what `ins-cal` makes of the circuit after `calibrate` and without, and the bound."""
-    for calibrated in (False, True):
-        with ProcessPoolExecutor(jobs) as pool:
-            found = np.array(list(pool.map(flown, seeds, [calibrated] * len(seeds), [dual] * len(seeds))))
-        tilt, heading = np.sqrt(np.mean(found[:, :2] ** 2, axis=0))
-        worst, nees = found[:, 0].max() / tilt, found[:, 2].mean()
-        name = "after calibrate" if calibrated else "without"
-        print(f"{name:16s} {tilt:.2f} / {heading:.2f} deg, worst seed {worst:.2f}, NEES {nees:.2f}", flush=True)
+def lines(flights: dict[int, list[dict[str, Any]]]) -> list[str]:
+    """The table of what `flown` gave by seed, markdown; nothing when none has flown."""
+    if not flights:
+        return []
+    made = ["", "## After a calibration flight, CHR grade", ""]
+    which = f"Units {min(flights)} to {max(flights)}, the circuit on another day, GNSS alone; "
+    made += [which + "`ahrs-sim fly calibration`, then `ahrs-sim calibrate`.", ""]
+    made += ["| | tilt / heading | goal | worst unit | NEES | |", "|---" * 6 + "|"]
+    for method in METHODS:
+        for name in ("as it comes", "corrected"):
+            found = turns_accuracy.summary(flights, f"{method} {name}")
+            if found is None:
+                continue
+            goal = f"{GOAL[0]:g} / {GOAL[1]:g}" if name == "corrected" else ""
+            missed = [a for a, x, most in zip(("tilt", "heading"), found[:2], GOAL, strict=True) if x > most]
+            met = "" if not goal else "missed: " + ", ".join(missed) if missed else "met"
+            cells = f"{found[0]:.2f} / {found[1]:.2f}", goal, f"{found[2]:.2f}", f"{found[3]:.2f}", met
+            made.append(f"| `{method}`, unit {name} | {' | '.join(cells)} |")
+    return made
 
 
 def main() -> int:
@@ -196,8 +212,7 @@ def main() -> int:
     parser.add_argument("--search", action="store_true", help="look for the sequence by the bound")
     parser.add_argument("--seconds", type=float, default=120.0, help="that the sequence may take")
     parser.add_argument("--violent", action="store_true", help="with rolls, loops and pull-ups")
-    parser.add_argument("--seeds", default="301..350", help="FIRST..LAST")
-    parser.add_argument("--two-antennas", action="store_true", help="with the heading of two GNSS antennas, too")
+    parser.add_argument("--seeds", default="301..350", help="FIRST..LAST, of the units")
     parser.add_argument("--jobs", type=int, default=2, help="flights at the same time")
     arguments = parser.parse_args()
     if arguments.search:
@@ -205,7 +220,10 @@ def main() -> int:
         print(", ".join(found))
         return 0
     first, _, last = arguments.seeds.partition("..")
-    measure(range(int(first), int(last or first) + 1), arguments.two_antennas, arguments.jobs)
+    seeds = range(int(first), int(last or first) + 1)
+    with ProcessPoolExecutor(arguments.jobs) as pool:
+        flights = {seed: [found] for seed, found in zip(seeds, pool.map(flown, seeds), strict=True)}
+    print(*lines(flights), sep="\n")
     return 0
 
 

@@ -3,12 +3,14 @@
     python benchmarks/turns_accuracy.py [--seeds 101..120] [--peers 3] [--duration 400] [--markdown docs/accuracy.md]
     python benchmarks/turns_accuracy.py --figures FILE --markdown docs/accuracy.md     # of what has been flown, anew
 
-Flies `turns` and `circuit` (30 and 45 deg of bank) in 5 m/s of wind and light turbulence, each seed once with all
-estimators on it. A figure is the RMS over flights from 80 s on; "worst" is the worst seed's tilt over it; NEES and
-NIS are means per degree of freedom. The row with an outage counts its 60 s only, all of them in a turn. The peers of
-plain Python are slow: they fly with the first `--peers` seeds only (0: none). The Cramer-Rao bound (`ahrs-sim bound`)
-is that of the first seeds' flights: it depends on the trajectory, not on what is drawn. `--figures FILE` keeps what
-every flight gave, seed by seed. `--planted N` flies N seeds of the flights with one planted cause each as well.
+Flies `turns` and `circuit` (30 and 45 deg of bank) in 5 m/s of wind and light turbulence. Each flight is flown and
+sensed once; every estimator of a suite gets the same samples. A figure is the RMS over flights from 80 s on; "worst"
+is the worst seed's tilt over it; NEES and NIS are means per degree of freedom. The row with an outage counts its 60 s
+only, all of them in a turn of `turns`. The peers of plain Python are slow: they fly with the first `--peers` seeds only
+(0: none). The Cramer-Rao bound (`ahrs-sim bound`) is that of the first seeds' flights: it depends on the trajectory,
+not on what is drawn. `--figures FILE` keeps what every flight gave, seed by seed. `--planted N` flies N seeds of the
+flights with one planted cause each as well, `--calibrations N` N units through a calibration flight and a circuit
+(`benchmarks/calibration_flight.py`).
 """
 
 import argparse
@@ -16,18 +18,32 @@ import json
 import math
 import sys
 import time
+import warnings
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ahrs_sim import pipeline, scenario
-from ahrs_sim.evaluation.accuracy import Accuracy
+import estimators
+from ahrs_sim import scenario
+from ahrs_sim.chain import Chain, site
+from ahrs_sim.evaluation import consistency, metrics
+from ahrs_sim.evaluation.decimate import take
+from ahrs_sim.evaluation.metrics import Measure
+from ahrs_sim.flight import open_flight
+from ahrs_sim.flight.truth import Truth
 from ahrs_sim.runs import bound
+from ahrs_sim.sensors import make_suite
+from ahrs_sim.world import wgs84
+from estimators.navigator.smoother import smooth
+from estimators.types import Estimates, Samples, SensorInfo, Site
 
 SCENARIOS, SUITES = ("turns", "circuit"), ("chr", "sbg")
 START, OUTAGE, OUTAGE_S = 80.0, 240.0, 60.0
+BLOCK_S, TRUTH_RATE, FIGURES_RATE = 5.0, 100.0, 10.0
 WORST = 1.6
 PEERS = ("vqf", "imufusion", "madgwick", "mahony", "ahrs-ekf", "turbo-ckf", "attipy", "smsfusion")
 WITH_VELOCITY = ("attipy", "smsfusion")  # peers that take the velocity of GNSS
@@ -100,6 +116,17 @@ ROWS: dict[str, tuple[str, dict[str, Any], tuple[tuple[float, float], ...], tupl
         (0.0, 3.0),
     ),
 }
+
+SMOOTHED: dict[str, tuple[str, tuple[float, float]]] = {
+    "cal": ("`ins-cal` smoothed: magnetometer, GNSS", (0.4, 0.3)),
+    "cal-dual": ("`ins-cal` smoothed: magnetometer, GNSS, two antennas", (0.26, 0.14)),
+}
+"""Rows that are smoothed afterwards as well, low-cost unit: what it is, goal (tilt, heading; deg)."""
+SMOOTHED_SUITE, SMOOTHED_NEES = "chr", (0.5, 3.0)
+
+STATES = {"nees": "attitude", "nees_velocity": "velocity", "nees_place": "position", "nees_gyro": "gyro bias",
+          "nees_accel": "accelerometer bias"}  # fmt: skip
+"""Figures of consistency, and of what they are."""
 
 SHAKEN = {
     "gyro": {"vibration_band_dps": 2.0},
@@ -196,45 +223,125 @@ with the rate and the errors that no average removes (`estimators/models/marg.py
 """
 
 
-def estimators(peers: bool) -> dict[str, dict[str, Any]]:
-    """`[estimator]` tables of all rows."""
-    tables: dict[str, dict[str, Any]] = {}
-    for suite in SUITES:
-        for key, (_, settings, _, _) in ROWS.items():
-            tables[f"{key}-{suite}"] = {**settings, "suite": f"{suite}-out" if key == "outage" else suite}
-        for name in PEERS if peers else ():
-            tables[f"{name}-{suite}"] = {"method": name, "suite": suite}
-            tables[f"{name}-air-{suite}"] = {"method": name, "suite": suite, "aiding": "airspeed"}
-            if name in WITH_VELOCITY:
-                tables[f"{name}-gnss-{suite}"] = {"method": name, "suite": suite, "aiding": "gnss"}
-    return tables
+@dataclass
+class Sensed:
+    """A flight, and what a suite sent of it."""
+
+    samples: Samples
+    errors: Any  # ImuErrorsRecord, the true biases
+    sheet: SensorInfo
+    place: Site
+
+
+def sensed(what: scenario.Scenario, names: Sequence[str]) -> tuple[Truth, dict[str, Sensed]]:
+    """Fly a scenario once: the truth at `TRUTH_RATE`, and what the suites of these names sent."""
+    flight = open_flight(what)
+    place = site(flight.start_lla, what.epoch)
+    made = {"seed": what.seed, "dt": flight.dt, "epoch": what.epoch, "start_lla": np.array(place.lla)}
+    chains = {s.name: Chain(make_suite(s, **made), {}) for s in what.suites if s.name in names}
+    truths: list[Truth] = []
+    samples: dict[str, list[Samples]] = {name: [] for name in chains}
+    errors: dict[str, list[Any]] = {name: [] for name in chains}
+    every = round(what.rate / TRUTH_RATE)
+    while len(truth := flight.fly(round(BLOCK_S * what.rate))):
+        truths.append(truth[::every])
+        for name, chain in chains.items():
+            records = chain.sense(truth)
+            errors[name].append(records["imu_errors"])
+            samples[name].append(chain.assemble(records))
+    if flight.error:
+        raise SystemExit(f"{what.name}, seed {what.seed}: {flight.error}")
+    found = {
+        name: Sensed(Samples.concatenate(samples[name]), errors[name][0].concatenate(errors[name]), c.suite.info, place)
+        for name, c in chains.items()
+    }
+    return Truth.concatenate(truths), found
+
+
+def figures_of(made: Estimates, truth: Truth, sent: Sensed, low: float, high: float, plain: bool) -> dict[str, Any]:
+    """Errors from `low` to `high` (s), and how consistent they are with what the estimator states.
+
+    Args:
+        made: of the whole flight.
+        truth: of the whole flight.
+        sent: what the suite sent.
+        low, high: s.
+        plain: scale and misalignment are states, so that the states of the biases mean the biases alone.
+    """
+    span = np.flatnonzero((made.t >= low) & (made.t <= min(high, truth.t[-1])))
+    squares, freedom = consistency.nis(made.innovation[span], made.innovation_var[span])
+    some = take(made, span[:: round(sent.sheet.rate / FIGURES_RATE)])
+    q = metrics.interpolate(truth.t, truth.q_nb, some.t)
+    error = np.degrees(metrics.attitude_errors(some.q_nb, some.down_b, q))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # what a method does not estimate is NaN
+        found = {
+            "tilt_rmse_deg": float(np.sqrt(np.nanmean(error[:, Measure.TILT] ** 2))),
+            "heading_rmse_deg": float(np.sqrt(np.nanmean(error[:, Measure.HEADING] ** 2))),
+            "nis": float(np.nansum(squares) / np.nansum(freedom)) if np.nansum(freedom) else math.nan,
+            "nees": float(np.nanmean(consistency.attitude_nees(some.q_nb, some.att_cov, q))) / 3.0,
+            **{key: float(np.nanmean(x)) / 3.0 for key, x in state_nees(some, truth, sent, plain).items()},
+        }
+    return {k: v if math.isfinite(v) else None for k, v in found.items()}
+
+
+def state_nees(some: Estimates, truth: Truth, sent: Sensed, plain: bool) -> dict[str, np.ndarray]:
+    """NEES (n,) of velocity, place and the biases of gyro and accelerometer, three degrees of freedom each."""
+
+    def at(t: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        return np.column_stack([np.interp(some.t, t, column) for column in rows.T])
+
+    lla = at(truth.t, truth.lla)
+    axes = wgs84.ned_axes(np.asarray(sent.place.lla[0]), np.asarray(sent.place.lla[1]))
+    place = (wgs84.ecef(some.lla) - wgs84.ecef(lla)) @ axes.T
+    found = {
+        "nees_velocity": consistency.nees(some.vel_n - at(truth.t, truth.vel_n), some.vel_cov),
+        "nees_place": consistency.nees(place, some.pos_cov),
+    }
+    stamps = sent.errors.stamp_ns / 1e9
+    for name in ("gyro", "accel"):
+        true = at(stamps, getattr(sent.errors, f"{name}_bias" if plain else f"{name}_effective_bias"))
+        off, sigma = getattr(some, f"{name}_bias") - true, getattr(some, f"{name}_bias_sigma")
+        found[f"nees_{name}"] = np.sum((off / np.where(sigma > 0.0, sigma, np.nan)) ** 2, axis=1)
+    return found
+
+
+def without_gnss(samples: Samples) -> Samples:
+    """Samples with no fix from `OUTAGE` on for `OUTAGE_S`."""
+    lost = (samples.t >= OUTAGE) & (samples.t < OUTAGE + OUTAGE_S)
+    blank = {k: np.where(lost[:, None], np.nan, getattr(samples, k)) for k in ("lla", "vel_n")}
+    return replace(samples, gnss_new=samples.gnss_new & ~lost, **blank)
 
 
 def flight(name: str, seed: int, duration: float | None, peers: bool, bounds: bool) -> dict[str, dict[str, Any]]:
-    """Figures of every estimator of one flight, as `compare` has them, nothing logged; with its bounds if asked."""
+    """Figures of every estimator of one flight; with its bounds if asked."""
     known = scenario.load(name).data
     known.pop("catalogue", None)
-    suites = known["suite"]
-    data = known | {
-        "suite": suites | {f"{s}-out": suites[s] for s in SUITES},
-        "wind": known["wind"] | {"speed_mps": 5.0, "at_20ft_mps": 5.0},
-        "fault": [
-            {"suite": f"{s}-out", "sensor": "gnss", "kind": "jamming", "at_s": OUTAGE, "for_s": OUTAGE_S}
-            for s in SUITES
-        ],
-        "estimator": estimators(peers),
-    }
-    if name != "turns":  # where else it turns when the satellites go is chance
-        data["estimator"] = {k: v for k, v in data["estimator"].items() if not k.startswith("outage")}
-    accuracy = Accuracy(list(data["estimator"]), with_consistency=True)
-    pipeline.fly(scenario.parse(data, name, name, seed=seed, duration=duration), None, accuracy=accuracy)
-    figures: dict[str, Any] = accuracy.result(low=START, band_s=1e4)["estimators"]
-    if name == "turns":
-        lost = accuracy.result(low=OUTAGE, high=OUTAGE + OUTAGE_S, band_s=1e4)["estimators"]
-        figures |= {k: lost[k] for k in figures if k.startswith("outage")}
-    if bounds:
-        figures |= bounds_of(data | {"estimator": {}, "fault": []}, name, seed, duration)
-    return figures
+    data = known | {"wind": known["wind"] | {"speed_mps": 5.0, "at_20ft_mps": 5.0}, "estimator": {}}
+    truth, suites = sensed(scenario.parse(data, name, name, seed=seed, duration=duration), SUITES)
+    found: dict[str, dict[str, Any]] = {}
+    for suite, sent in suites.items():
+        for key, (_, settings, _, _) in ROWS.items():
+            lasts = name == "turns" and truth.t[-1] > OUTAGE + OUTAGE_S
+            if key == "outage" and not lasts:  # where else it turns when the satellites go is chance
+                continue
+            method, own = settings["method"], {k: v for k, v in settings.items() if k != "method"}
+            estimator: Any = estimators.create(method, site=sent.place, sensors=sent.sheet, **own)
+            samples, low, high = sent.samples, START, math.inf
+            if key == "outage":
+                samples, low, high = without_gnss(samples), OUTAGE, OUTAGE + OUTAGE_S
+            plain = method == "ins-cal"
+            found[f"{key}-{suite}"] = figures_of(estimator.process(samples), truth, sent, low, high, plain)
+            if key in SMOOTHED and suite == SMOOTHED_SUITE:
+                made = smooth(estimator, samples)
+                found[f"{key}-smoothed-{suite}"] = figures_of(made, truth, sent, low, high, plain)
+        for peer in PEERS if peers else ():
+            for end, own in (("", {}), ("-air", {"aiding": "airspeed"}), ("-gnss", {"aiding": "gnss"})):
+                if end != "-gnss" or peer in WITH_VELOCITY:
+                    estimator = estimators.create(peer, site=sent.place, sensors=sent.sheet, **own)
+                    made = estimator.process(sent.samples)
+                    found[f"{peer}{end}-{suite}"] = figures_of(made, truth, sent, START, math.inf, False)
+    return found | (bounds_of(data, name, seed, duration) if bounds else {})
 
 
 def bounds_of(data: dict[str, Any], name: str, seed: int, duration: float | None) -> dict[str, dict[str, Any]]:
@@ -259,17 +366,20 @@ def planted_flight(key: str, seed: int) -> dict[str, dict[str, Any]]:
     suite = dict(known["suite"]["chr"])
     for instrument, figures in changes.items():
         suite[instrument] = {**suite.get(instrument, {}), **figures}
-    tables = {f"{key}-{row}": {**ROWS[row][1], "suite": "chr"} for row in PLANTED_ROWS}
-    accuracy = Accuracy(list(tables), with_consistency=True)
-    data = known | {"suite": {"chr": suite}, "estimator": tables}
-    pipeline.fly(scenario.parse(data, name, name, seed=seed), None, accuracy=accuracy)
-    found: dict[str, Any] = accuracy.result(low=low, band_s=1e4)["estimators"]
-    return {name: {m: f[m] for m in ("tilt_rmse_deg", "heading_rmse_deg", "nees", "nis")} for name, f in found.items()}
+    data = known | {"suite": {"chr": suite}, "estimator": {}}
+    truth, suites = sensed(scenario.parse(data, name, name, seed=seed), ("chr",))
+    found = {}
+    for row in PLANTED_ROWS:
+        method, own = ROWS[row][1]["method"], {k: v for k, v in ROWS[row][1].items() if k != "method"}
+        sent = suites["chr"]
+        estimator: Any = estimators.create(method, site=sent.place, sensors=sent.sheet, **own)
+        made = estimator.process(sent.samples)
+        found[f"{key}-{row}"] = figures_of(made, truth, sent, low, math.inf, method == "ins-cal")
+    return found
 
 
-def planted_lines(planted: dict[str, list[dict[str, Any]]]) -> list[str]:
+def planted_lines(flown: dict[int, list[dict[str, Any]]]) -> list[str]:
     """The table of the planted causes, markdown; nothing when none has flown."""
-    flown = {int(seed): flights for seed, flights in planted.items()}
     if not flown:
         return []
     made = [
@@ -309,26 +419,24 @@ def summary(flown: dict[int, list[dict[str, Any]]], key: str) -> tuple[float, fl
     return tilt, heading, worst / tilt, mean([r["nees"] for r in rows]), mean([r["nis"] for r in rows])
 
 
-def outcome(found: tuple[float, ...], goal: tuple[float, float], bounds: tuple[float, float]) -> str:
+def outcome(
+    found: tuple[float, ...], goal: tuple[float, float], bounds: tuple[float, float], with_nis: bool = True
+) -> str:
     """What is met and what is not."""
     tilt, heading, worst, nees, nis = found
     missed = [name for name, value, most in (("tilt", tilt, goal[0]), ("heading", heading, goal[1])) if value > most]
     missed += ["worst seed"] if worst > WORST else []
-    missed += [name for name, value in (("NEES", nees), ("NIS", nis)) if not bounds[0] <= value <= bounds[1]]
+    ratios = [("NEES", nees), ("NIS", nis)] if with_nis else [("NEES", nees)]
+    missed += [name for name, value in ratios if not bounds[0] <= value <= bounds[1]]
     return "missed: " + ", ".join(missed) if missed else "met"
 
 
 def lines(flown: dict[int, list[dict[str, Any]]]) -> list[str]:
-    """The table, markdown."""
+    """The tables, markdown."""
     made = []
     for suite in SUITES:
-        made += [
-            "",
-            f"## {suite.upper()} grade",
-            "",
-            "| | tilt / heading | x the bound | goal | worst seed | NEES | NIS | |",
-            "|---|---|---|---|---|---|---|---|",
-        ]
+        made += ["", f"## {suite.upper()} grade", ""]
+        made += ["| | tilt / heading | x the bound | goal | worst seed | NEES | NIS | |", "|---" * 8 + "|"]
         for key, (title, _, goals, bounds) in ROWS.items():
             found = summary(flown, f"{key}-{suite}")
             if found is None:
@@ -339,22 +447,61 @@ def lines(flown: dict[int, list[dict[str, Any]]]) -> list[str]:
             if goals:
                 asked = goals[SUITES.index(suite)]
                 goal, met = f"{asked[0]:g} / {asked[1]:g}", outcome(found, asked, bounds)
-            made.append(
-                f"| {title} | {found[0]:.2f} / {found[1]:.2f} | {times_bound(flown, key, suite)} | {goal} "
-                f"| {found[2]:.2f} | {found[3]:.3g} "
-                f"| {found[4]:.2g} | {met} |"
-            )
-        for name in PEERS:
-            for key, title in (
-                (name, f"{name}, raw"),
-                (f"{name}-air", f"{name}, accelerometer corrected by airspeed"),
-                (f"{name}-gnss", f"{name}, velocity of GNSS"),
-            ):
-                if (found := summary(flown, f"{key}-{suite}")) is not None:
-                    made.append(f"| {title} | {found[0]:.2f} / {found[1]:.2f} | | | {found[2]:.2f} | | | |")
+            made.append(row(title, found, times_bound(flown, key, suite), goal, f"{found[4]:.2g}", met))
+        for key, (title, asked) in SMOOTHED.items():
+            if (found := summary(flown, f"{key}-smoothed-{suite}")) is not None:
+                met = outcome(found, asked, SMOOTHED_NEES, with_nis=False)
+                made.append(row(title, found, "", f"{asked[0]:g} / {asked[1]:g}", "", f"{met}; {better(flown, key)}"))
+        made += peer_lines(flown, suite)
         for key, aids in BOUNDS.items():
             if (found := summary(flown, f"bound-{key}-{suite}")) is not None:
                 made.append(f"| bound of any filter: {aids} | {found[0]:.2f} / {found[1]:.2f} | 1 | | | | | |")
+        made += consistency_lines(flown, suite)
+    return made
+
+
+def row(title: str, found: tuple[float, ...], times: str, goal: str, nis: str, met: str) -> str:
+    """A row of the table."""
+    cells = title, f"{found[0]:.2f} / {found[1]:.2f}", times, goal, f"{found[2]:.2f}", f"{found[3]:.3g}", nis, met
+    return f"| {' | '.join(cells)} |"
+
+
+def peer_lines(flown: dict[int, list[dict[str, Any]]], suite: str) -> list[str]:
+    """Rows of the peers."""
+    made = []
+    for name in PEERS:
+        for key, title in (
+            (name, f"{name}, raw"),
+            (f"{name}-air", f"{name}, accelerometer corrected by airspeed"),
+            (f"{name}-gnss", f"{name}, velocity of GNSS"),
+        ):
+            if (found := summary(flown, f"{key}-{suite}")) is not None:
+                made.append(f"| {title} | {found[0]:.2f} / {found[1]:.2f} | | | {found[2]:.2f} | | | |")
+    return made
+
+
+def better(flown: dict[int, list[dict[str, Any]]], key: str) -> str:
+    """On how many seeds the smoothed tilt and heading are below the filter's."""
+    below = [0, 0]
+    names = f"{key}-{SMOOTHED_SUITE}", f"{key}-smoothed-{SMOOTHED_SUITE}"
+    for flights in flown.values():
+        for k, angle in enumerate(("tilt", "heading")):
+            before, after = (rms([f[name][f"{angle}_rmse_deg"] for f in flights]) for name in names)
+            below[k] += after < before
+    return f"below its filter on {below[0]} / {below[1]} of {len(flown)} seeds"
+
+
+def consistency_lines(flown: dict[int, list[dict[str, Any]]], suite: str) -> list[str]:
+    """NEES of what each navigator estimates, markdown."""
+    titles = {key: title for key, (title, *_) in ROWS.items()}
+    titles |= {f"{key}-smoothed": title for key, (title, _) in SMOOTHED.items()}
+    made = ["", f"NEES by what is estimated, {suite.upper()} grade:", ""]
+    made += [f"| | {' | '.join(STATES.values())} |", "|---" * (1 + len(STATES)) + "|"]
+    for key, title in titles.items():
+        rows = [f[f"{key}-{suite}"] for flights in flown.values() for f in flights if f"{key}-{suite}" in f]
+        means = [mean([one.get(state) for one in rows]) for state in STATES]
+        if math.isfinite(means[1]):
+            made.append(f"| {title} | " + " | ".join("" if math.isnan(x) else f"{x:.2f}" for x in means) + " |")
     return made
 
 
@@ -369,50 +516,47 @@ def times_bound(flown: dict[int, list[dict[str, Any]]], key: str, suite: str) ->
     return f"{found[0] / least[0]:.2f} / {found[1] / least[1]:.2f}"
 
 
-def fly_all(arguments: argparse.Namespace, seeds: range) -> dict[int, list[dict[str, Any]]]:
-    """Figures of both flights of every seed; those in the file of `--figures` are not flown again."""
-    flown: dict[int, list[dict[str, Any]]] = {}
-    if arguments.figures and arguments.figures.exists():
-        kept = json.loads(arguments.figures.read_text())
-        flown = {int(seed): flights for seed, flights in kept.items() if seed != "planted"}
-        if not arguments.more:
-            return flown
+class Kept:
+    """What has flown, in a file where one is named: `flights`, `planted` and `calibrations` by seed."""
+
+    def __init__(self, file: Path | None) -> None:
+        self.file = file
+        self.parts: dict[str, dict[str, Any]] = {"flights": {}, "planted": {}, "calibrations": {}}
+        if file and file.exists():
+            self.parts |= json.loads(file.read_text())
+
+    def add(self, part: str, seed: int, found: Any) -> None:
+        """Keep what a seed gave."""
+        self.parts[part][str(seed)] = found
+        if self.file:
+            self.file.write_text(json.dumps(self.parts))
+
+    def missing(self, part: str, seeds: Sequence[int]) -> list[int]:
+        """List the seeds that have not flown."""
+        return [seed for seed in seeds if str(seed) not in self.parts[part]]
+
+    def of(self, part: str) -> dict[int, Any]:
+        """Return what is there, by seed, rising."""
+        return {int(seed): self.parts[part][seed] for seed in sorted(self.parts[part], key=int)}
+
+
+def fly_all(arguments: argparse.Namespace, seeds: range, kept: Kept) -> None:
+    """Fly what is not there yet: planted causes, calibrations, then both flights of every seed."""
+    from calibration_flight import flown as calibration  # which needs this module
+
     begun = time.perf_counter()
     with ProcessPoolExecutor(arguments.jobs) as pool:
-        waiting = [
-            (seed, pool.submit(flight, name, seed, arguments.duration, k < arguments.peers, k < arguments.bounds))
-            for k, seed in enumerate(seeds)
-            if seed not in flown
-            for name in SCENARIOS
-        ]
-        new: dict[int, list[dict[str, Any]]] = {}
-        for seed, done in waiting:
-            new.setdefault(seed, []).append(done.result())
-            print(f"seed {seed}, {time.perf_counter() - begun:.0f} s", file=sys.stderr, flush=True)
-            if len(new[seed]) == len(SCENARIOS):
-                flown[seed] = new[seed]
-                if arguments.figures:
-                    arguments.figures.write_text(json.dumps({**flown, "planted": planted_of(arguments.figures)}))
-    return flown
-
-
-def planted_of(figures: Path | None) -> dict[str, list[dict[str, Any]]]:
-    """The planted flights in a file of `--figures`, by seed."""
-    kept = json.loads(figures.read_text()) if figures and figures.exists() else {}
-    planted: dict[str, list[dict[str, Any]]] = kept.get("planted", {})
-    return planted
-
-
-def fly_planted(arguments: argparse.Namespace, seeds: range) -> dict[str, list[dict[str, Any]]]:
-    """Figures of the planted causes by seed; those in the file of `--figures` are not flown again."""
-    planted = planted_of(arguments.figures)
-    for seed in seeds[: arguments.planted]:
-        if str(seed) not in planted:
-            planted[str(seed)] = [planted_flight(key, seed) for key in PLANTED]
-            if arguments.figures:
-                kept = json.loads(arguments.figures.read_text()) if arguments.figures.exists() else {}
-                arguments.figures.write_text(json.dumps({**kept, "planted": planted}))
-    return planted
+        waiting: list[tuple[str, int, list[Any]]] = []
+        for seed in kept.missing("planted", seeds[: arguments.planted]):
+            waiting.append(("planted", seed, [pool.submit(planted_flight, key, seed) for key in PLANTED]))
+        for seed in kept.missing("calibrations", seeds[: arguments.calibrations]):
+            waiting.append(("calibrations", seed, [pool.submit(calibration, seed)]))
+        for seed in kept.missing("flights", seeds):
+            how = arguments.duration, seed in seeds[: arguments.peers], seed in seeds[: arguments.bounds]
+            waiting.append(("flights", seed, [pool.submit(flight, name, seed, *how) for name in SCENARIOS]))
+        for part, seed, flights in waiting:
+            kept.add(part, seed, [one.result() for one in flights])
+            print(f"{part}, seed {seed}, {time.perf_counter() - begun:.0f} s", file=sys.stderr, flush=True)
 
 
 def main() -> int:
@@ -423,19 +567,22 @@ def main() -> int:
     parser.add_argument("--peers", type=int, default=3, help="seeds that the peers fly with as well")
     parser.add_argument("--bounds", type=int, default=1, help="seeds whose bound is computed")
     parser.add_argument("--planted", type=int, default=0, help="seeds that fly with the planted causes")
+    parser.add_argument("--calibrations", type=int, default=0, help="units that fly a calibration flight first")
     parser.add_argument("--more", action="store_true", help="with --figures: fly the seeds that are not in it yet")
     parser.add_argument("--duration", type=float, help="s, of each flight at most")
     parser.add_argument("--markdown", type=Path, help="write the page there")
     parser.add_argument("--figures", type=Path, metavar="FILE", help="keep what the flights give; go on from there")
     arguments = parser.parse_args()
     first, _, last = arguments.seeds.partition("..")
-    seeds = range(int(first), int(last or first) + 1)
-    planted = fly_planted(arguments, seeds)
-    flown = fly_all(arguments, seeds)
-    seeds = range(min(flown), max(flown) + 1)
+    kept = Kept(arguments.figures)
+    if not kept.of("flights") or arguments.more:
+        fly_all(arguments, range(int(first), int(last or first) + 1), kept)
+    flown = kept.of("flights")
     length = f"the first {arguments.duration:.0f} s" if arguments.duration else "whole flights"
-    flights = f"`turns` and `circuit`, {length}, wind 5 m/s, light turbulence, seeds {seeds[0]} to {seeds[-1]}"
-    table = lines(flown) + planted_lines(planted)
+    flights = f"`turns` and `circuit`, {length}, wind 5 m/s, light turbulence, seeds {min(flown)} to {max(flown)}"
+    from calibration_flight import lines as calibration_lines
+
+    table = lines(flown) + calibration_lines(kept.of("calibrations")) + planted_lines(kept.of("planted"))
     print(flights, *table, sep="\n")
     if arguments.markdown:
         peers = f"The peers flew with the first {arguments.peers} of these seeds." if arguments.peers else ""
