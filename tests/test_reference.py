@@ -163,3 +163,9 @@ def test_tutorials_are_scripts(tmp_path: Path) -> None:
         text = script(tutorial)
         assert subprocess.run(["bash", "-n", "-c", text], check=False).returncode == 0
         assert text.count("ahrs-sim ") >= 6
+
+
+def test_every_key_that_a_manoeuvre_speaks_of_is_listed() -> None:
+    for name, (text, keys) in reference.manoeuvres().items():
+        spoken = set(re.findall(r"`(\w+_(?:m|s|deg|mps|dps|g))`", text))
+        assert spoken <= keys.keys(), name

@@ -27,7 +27,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Print what is found of an aircraft."""
     from ahrs_sim.flight.design import design
 
-    found = design(arguments.name, "aircraft")
+    found = design(arguments.name, "command line")
     print(found.text() if arguments.json else _text(found))
 
 

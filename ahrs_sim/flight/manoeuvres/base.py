@@ -61,10 +61,14 @@ class Manoeuvre:
         self.read(table)
         self.patient = not table.has("timeout_s")  # a bigger aircraft may take longer
         self.timeout = table.number("timeout_s", 3.0 * self.expected() + 30.0, above=0.0)
+        self.check(table)
         table.close()
 
     def read(self, table: Table) -> None:
         """Take this manoeuvre's own keys from `table`."""
+
+    def check(self, table: Table) -> None:
+        """Refuse keys that do not go together, when all have been read."""
 
     def expected(self) -> float:
         """About how long it takes, s."""

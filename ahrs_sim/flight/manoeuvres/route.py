@@ -31,13 +31,11 @@ class _Height:
 class _Place:
     """A place: north and east of the start, or latitude and longitude; or where the aircraft is."""
 
-    def __init__(self, table: Table, *, required: bool) -> None:
+    def __init__(self, table: Table) -> None:
         self.metres = self._pair(table, "north_m", "east_m", math.inf, math.inf)
         self.degrees = self._pair(table, "latitude_deg", "longitude_deg", 89.0, 180.0)
         if self.metres and self.degrees:
             raise table.error("latitude_deg", "north_m, east_m and latitude_deg, longitude_deg exclude each other")
-        if required and not (self.metres or self.degrees):
-            raise table.error("north_m", "missing; give north_m and east_m, or latitude_deg and longitude_deg")
 
     @staticmethod
     def _pair(table: Table, first: str, second: str, most: float, furthest: float) -> tuple[float, float] | None:
@@ -76,11 +74,10 @@ def line_course(state: State, cross: float, course: float, bank: float) -> float
 class _ToPlace(Manoeuvre):
     """A step that begins by flying to a place, at a height and with a bank of its own."""
 
-    required: ClassVar[bool] = False  # the place has to be given; else it may be where the aircraft is
     banks: ClassVar[tuple[float, float]] = (30.0, 60.0)  # deg, `bank_deg` unless given, and its limit
 
     def read(self, table: Table) -> None:
-        self.place = _Place(table, required=self.required)
+        self.place = _Place(table)
         self.level = _Height(table)
         usual, most = self.banks
         self.bank = math.radians(table.number("bank_deg", usual, minimum=5.0, maximum=most))
@@ -117,11 +114,14 @@ class Goto(_ToPlace):
     """
 
     name = "goto"
-    required = True
 
     def read(self, table: Table) -> None:
         super().read(table)
         self.within = optional(table, "radius_m", above=0.0)
+
+    def check(self, table: Table) -> None:
+        if not (self.place.metres or self.place.degrees):
+            raise table.error("north_m", "missing; give north_m and east_m, or latitude_deg and longitude_deg")
 
     def expected(self) -> float:
         return 60.0
