@@ -3,8 +3,9 @@
     python benchmarks/recordings.py FOLDER
 
 FOLDER has `thor_flight75/thor_flight75.mcap` and `broad/broad_01_*.mcap`, `_21_`, `_28_` in it. Prints the table of
-docs/replay.md, RMSE in degrees with `--sync`: everything as it comes; and beside its total that without a calibration
-of the magnetometer, and with the whole fit taken out whatever it is worth.
+docs/replay.md, RMSE in degrees with `--sync`: everything as it comes, with NEES per degree of freedom; and beside its
+total that without a calibration of the magnetometer, and with the whole fit taken out whatever it is worth. `ins-cal`
+is smoothed as well.
 """
 
 import sys
@@ -18,6 +19,7 @@ from ahrs_sim.recordings.recording import open_bag
 
 RUNS = (
     ("thor_flight75/thor_flight75.mcap", "ins21", (240.0, 575.0), None),
+    ("thor_flight75/thor_flight75.mcap", "ins-cal", (240.0, 575.0), None),
     ("thor_flight75/thor_flight75.mcap", "air-ins", (240.0, 575.0), None),
     ("broad/broad_01_*.mcap", "hand-ins", (None, None), "heading"),
     ("broad/broad_21_*.mcap", "hand-ins", (None, None), "heading"),
@@ -32,17 +34,23 @@ def figures(
     align: str | None,
     calibrate: Sequence[str],
     map_file: Path | None = None,
-) -> dict[str, float]:
-    """Errors of one estimator on one recording."""
+) -> dict[str, dict[str, float]]:
+    """Errors of one estimator on one recording, `ins-cal` smoothed as well: by name."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.mcap"
         playback.replay(
-            path, out, estimators=[method], calibrate=calibrate, sync=True, only_estimates=True, map_file=map_file
+            path,
+            out,
+            estimators=[method],
+            calibrate=calibrate,
+            sync=True,
+            only_estimates=True,
+            map_file=map_file,
+            smooth=method == "ins-cal",
         )
         result = playback.accuracy(out, start=span[0], end=span[1], align=align)
     assert result is not None
-    values: dict[str, float] = result["estimators"][method]
-    return values
+    return {name: values for name, values in result["estimators"].items() if name.startswith(method)}
 
 
 def whole_fit(path: Path, map_file: Path) -> bool:
@@ -60,18 +68,21 @@ def whole_fit(path: Path, map_file: Path) -> bool:
 
 def main() -> None:
     """Replay all and print the table."""
-    print("| recording | estimator | roll | pitch | heading | total | not calibrated | whole fit |")
-    print("|---|---|---|---|---|---|---|---|")
+    print("| recording | estimator | roll | pitch | heading | total | NEES | not calibrated | whole fit |")
+    print("|---" * 9 + "|")
     for pattern, method, span, align in RUNS:
         path = next(iter(sorted(Path(sys.argv[1]).glob(pattern))))
         found = figures(path, method, span, align, ["auto"])
-        without = figures(path, method, span, align, ["none"])["total_rmse_deg"]
+        without = figures(path, method, span, align, ["none"])
         with tempfile.TemporaryDirectory() as folder:
             map_file = Path(folder) / "map.toml"
             fitted = whole_fit(path, map_file)
-            forced = figures(path, method, span, align, ["none"], map_file)["total_rmse_deg"] if fitted else without
-        angles = " | ".join(f"{found[f'{a}_rmse_deg']:.2f}" for a in ("roll", "pitch", "heading", "total"))
-        print(f"| {path.stem} | `{method}` | {angles} | {without:.2f} | {forced:.2f} |", flush=True)
+            forced = figures(path, method, span, align, ["none"], map_file) if fitted else without
+        for name, values in found.items():
+            angles = " | ".join(f"{values[f'{a}_rmse_deg']:.2f}" for a in ("roll", "pitch", "heading", "total"))
+            others = " | ".join(f"{one[name]['total_rmse_deg']:.2f}" for one in (without, forced))
+            nees = "" if values["nees"] is None else f"{values['nees']:.1f}"
+            print(f"| {path.stem} | `{name}` | {angles} | {nees} | {others} |", flush=True)
 
 
 if __name__ == "__main__":
