@@ -15,7 +15,7 @@ import numpy as np
 
 from ahrs_sim.errors import InputError
 from ahrs_sim.runs.log_tuning import Recorded
-from ahrs_sim.sensors.correction import Correction, TriadCorrection
+from ahrs_sim.sensors.correction import COMMON, Correction, TriadCorrection
 from estimators import create
 from estimators.navigator.layout import (
     ACCEL_BIAS,
@@ -62,6 +62,7 @@ class Calibrated:
     def text(self) -> str:
         """Format one sigma of each group of errors before and after, for the terminal."""
         after = self.correction.sheet(self.before)
+        after |= {key: after[key] / COMMON for key, *_ in _ROWS if key.endswith("misalignment")}  # as they are
         iron = self.before.get("soft_iron", 0.0)
         was = self.before | {
             "mag_scale_factor": math.hypot(self.before["mag_scale_factor"], iron),

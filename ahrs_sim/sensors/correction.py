@@ -30,6 +30,10 @@ from ahrs_sim.sensors.records import SuiteBlock
 
 TRIADS = ("gyro", "accelerometer", "magnetometer")
 LARGEST = 0.5  # that an element of a matrix may be off the identity
+COMMON = 1.5
+"""Times the sigma of a misalignment that estimators are given: most of what a flight leaves is one rotation of all three
+triads, and an estimator that takes them as independent believes to know it better. Chosen on four units: `ins-cal` on the
+next flight had NEES 2.0 without, 1.5 with it, at 3 % more tilt."""
 _NO_MATRIX = np.eye(3).ravel().tolist()
 _OFF = ~np.eye(3, dtype=bool)
 
@@ -102,7 +106,7 @@ class Correction:
                 made[f"{name}_bias"] = rms(triad.bias_sigma)
             if not np.isfinite(triad.matrix_sigma).all():
                 continue
-            scale, beside = rms(np.diag(triad.matrix_sigma)), rms(triad.matrix_sigma[_OFF])
+            scale, beside = rms(np.diag(triad.matrix_sigma)), COMMON * rms(triad.matrix_sigma[_OFF])
             made[f"{name}_scale_factor"], made[f"{name}_misalignment"] = scale, beside
             if name == "mag":
                 made["soft_iron"] = 0.0  # its part is in the two

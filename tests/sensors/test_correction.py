@@ -67,9 +67,9 @@ def test_the_sheet_says_what_is_left(tmp_path: Path) -> None:
     corrected = suite("chr_6dm", correction=name)
     info, own = corrected.info, made.info
     for sensor in ("gyro", "accel", "mag"):
-        assert getattr(info, f"{sensor}_misalignment") == pytest.approx(3e-3)
+        assert getattr(info, f"{sensor}_misalignment") == pytest.approx(4.5e-3)
         assert getattr(info, f"{sensor}_scale_factor") == pytest.approx(4e-3)
-    assert info.gyro_scale == pytest.approx(5e-3)
+    assert info.gyro_scale == pytest.approx(np.hypot(4e-3, 4.5e-3))
     assert info.soft_iron == 0.0
     assert (info.mag_bias, info.gyro_bias) == (own.mag_bias, own.gyro_bias)  # no sigma of a bias was given
     assert "correction.gyro.matrix" in corrected.specification()
