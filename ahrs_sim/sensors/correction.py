@@ -31,9 +31,9 @@ from ahrs_sim.sensors.records import SuiteBlock
 TRIADS = ("gyro", "accelerometer", "magnetometer")
 LARGEST = 0.5  # that an element of a matrix may be off the identity
 COMMON = 1.5
-"""Times the sigma of a misalignment that estimators are given: most of what a flight leaves is one rotation of all three
-triads, and an estimator that takes them as independent believes to know it better. Chosen on four units: `ins-cal` on the
-next flight had NEES 2.0 without, 1.5 with it, at 3 % more tilt."""
+"""Times the sigma of a misalignment that estimators are given: most of what a flight leaves is one rotation of all
+three triads, and an estimator that takes them as independent believes to know it better. Chosen on four units:
+`ins-cal` on the next flight had NEES 2.0 without, 1.5 with it, at 3 % more tilt."""
 _NO_MATRIX = np.eye(3).ravel().tolist()
 _OFF = ~np.eye(3, dtype=bool)
 
