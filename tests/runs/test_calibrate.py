@@ -56,9 +56,9 @@ def test_the_next_flight_of_the_unit_is_better(calibrated: tuple[Path, Path], tm
     for correct in ("", f"correction = '{unit}'"):
         file = tmp_path / "next.toml"
         file.write_text(f'extends = "short_turns"\nseed = 2\n[suite.chr]\nunit_seed = 1\n{correct}\n')
-        accuracy = Accuracy(["ins21-chr"])
-        pipeline.fly(scenario.load(str(file), estimators=["ins21@chr"]), None, accuracy=accuracy)
-        found = accuracy.result(low=45.0)["estimators"]["ins21-chr"]
+        accuracy = Accuracy(["ins-cal-chr"])
+        pipeline.fly(scenario.load(str(file), estimators=["ins-cal@chr"]), None, accuracy=accuracy)
+        found = accuracy.result(low=45.0)["estimators"]["ins-cal-chr"]
         errors.append(np.hypot(found["tilt_rmse_deg"], found["heading_rmse_deg"]))
     assert errors[1] < 0.95 * errors[0]
 
