@@ -15,9 +15,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from ahrs_sim import attitude, pipeline, scenario
-from ahrs_sim.evaluation import metrics
+from ahrs_sim.evaluation import metrics, phases
 from ahrs_sim.log.flight_reader import FlightReader
-from ahrs_sim.review import compare
+from ahrs_sim.review import compare, figures
 
 HERE = Path(__file__).parent
 TWO_ANTENNAS = {
@@ -94,13 +94,20 @@ def picture(log: Path) -> None:
     tilt.set_ylim(0.02, 90)
     tilt.set_xlabel("time, s")
     roll.sharex(tilt)
-    figure.legend(*roll.get_legend_handles_labels(), loc="outside upper left", fontsize=8, ncols=4)
+    phase = phases.classify(truth.t, truth.q_nb, truth.vel_n, truth.on_ground)
+    for axes in (roll, tilt):
+        axes.margins(x=0)
+        figures.shade(axes, truth.t, phase)
+    handles, labels = (a + b for a, b in zip(roll.get_legend_handles_labels(), figures.shades(phase), strict=True))
+    figure.legend(handles, labels, loc="outside upper left", fontsize=8, ncols=len(labels))
     north = (truth.lla[:, 0] - truth.lla[0, 0]) * 6.37e6
     east = (truth.lla[:, 1] - truth.lla[0, 1]) * 6.37e6 * np.cos(truth.lla[0, 0])
     dots = track.scatter(east, north, c=truth.height_agl, s=1, cmap="viridis")
     figure.colorbar(dots, ax=track, label="height, m", location="bottom", shrink=0.8)
     track.set_aspect("equal")
-    track.set_title("ground track, m", fontsize=10)
+    track.set_title("ground track", fontsize=10)
+    track.set_xlabel("east, m")
+    track.set_ylabel("north, m")
     for axes in (roll, tilt, track):
         axes.grid(alpha=0.3)
     figure.savefig(HERE / "circuit.png", dpi=100)

@@ -9,6 +9,7 @@ import numpy as np
 from ahrs_sim import attitude
 from ahrs_sim.errors import InputError
 from ahrs_sim.evaluation import consistency, metrics
+from ahrs_sim.evaluation.metrics import Measure
 from ahrs_sim.evaluation.phases import PHASES
 from ahrs_sim.review import colors
 from ahrs_sim.review.traces import EstimatorTrace, FlightTraces
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _AXES = metrics.MEASURES[:3]
+_EULER = (Measure.ROLL, Measure.PITCH, Measure.HEADING)
 _SHADES = ("#e9edf2", "", "#fdebcf", "#e3edfd")
 """Behind the curves, by phase: ground, straight, turning, transient."""
 
@@ -67,7 +69,7 @@ def _cycle(estimators: int) -> Any:
 def _figures(new: Any, flight: FlightTraces) -> "dict[str, Figure]":
     return {
         "attitude": _attitude(new((11, 8), layout="constrained"), flight),
-        "errors": _errors(new((11, 8), layout="constrained"), flight),
+        "errors": _errors(new((11, 10), layout="constrained"), flight),
         "consistency": _consistency(
             new((15, 2.2 * max(1, len(flight.estimators)) + 0.6), layout="constrained"), flight
         ),
@@ -86,6 +88,14 @@ def _thin(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     boxes = values[:n].reshape(-1, size)
     pairs = np.stack([np.fmin.reduce(boxes, axis=1), np.fmax.reduce(boxes, axis=1)], axis=1)
     return np.repeat(t[:n:size], 2), pairs.ravel()
+
+
+def _thin_angle(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same of an angle, deg, with a gap where it wraps."""
+    t, values = _thin(t, values)
+    values = values.copy()
+    values[1:][np.abs(np.diff(values)) > 180.0] = np.nan
+    return t, values
 
 
 def _continuous(t: np.ndarray, q_nb: np.ndarray) -> np.ndarray:
@@ -118,7 +128,7 @@ def _attitude(figure: "Figure", flight: FlightTraces) -> "Figure":
     truth = _continuous(flight.t, flight.q_nb)
     for k, ax in enumerate(axes):
         for e in flight.estimators.values():
-            ax.plot(*_thin(e.t, _estimated(flight, e, slice(None))[:, k]), linewidth=0.9, label=e.name)
+            ax.plot(*_thin_angle(e.t, _estimated(flight, e, slice(None))[:, k]), linewidth=0.9, label=e.name)
         ax.plot(*_thin(flight.t, truth[:, k]), "k--", linewidth=0.9, label=flight.reference)
         _label(ax, f"{_AXES[k]}, deg")
     _modulo(axes[2])
@@ -126,13 +136,15 @@ def _attitude(figure: "Figure", flight: FlightTraces) -> "Figure":
 
 
 def _errors(figure: "Figure", flight: FlightTraces) -> "Figure":
-    axes = figure.subplots(3, 1, sharex=True)
-    for k, ax in enumerate(axes):
+    axes = figure.subplots(4, 1, sharex=True)
+    for ax, k in zip(axes, (Measure.TILT, *_EULER), strict=True):
         for i, e in enumerate(flight.estimators.values()):
-            ax.plot(*_thin(e.t, np.degrees(e.error[:, k].astype(float))), color=f"C{i}", linewidth=0.9, label=e.name)
-            sigma = 3 * np.degrees(e.sigma[:, k])
-            ax.fill_between(e.coarse_t, -sigma, sigma, color=f"C{i}", alpha=0.15, linewidth=0)
-        _label(ax, f"{_AXES[k]} error, deg")
+            error = np.degrees(e.error[:, k].astype(float))
+            ax.plot(*_thin_angle(e.t, error), color=f"C{i}", linewidth=0.9, label=e.name)
+            if k in _EULER:
+                sigma = 3 * np.degrees(e.sigma[:, k])
+                ax.fill_between(e.coarse_t, -sigma, sigma, color=f"C{i}", alpha=0.15, linewidth=0)
+        _label(ax, f"{metrics.MEASURES[k]} error, deg")
     return _finish(figure, flight, axes, f"{flight.label}: errors, shaded ±3 sigma of the estimators")
 
 
@@ -142,7 +154,8 @@ def _consistency(figure: "Figure", flight: FlightTraces) -> "Figure":
     low, high = (float(bound) / 3 for bound in consistency.chi_square_bounds(3))
     for row, e in zip(axes, flight.estimators.values(), strict=True):
         for k, ax in enumerate(row[:3]):
-            ax.plot(*_thin(e.t, np.degrees(e.error[:, k].astype(float))), color="C3", linewidth=0.8, label="error")
+            error = np.degrees(e.error[:, k].astype(float))
+            ax.plot(*_thin_angle(e.t, error), color="C3", linewidth=0.8, label="error")
             sigma = 3 * np.degrees(e.sigma[:, k])
             ax.fill_between(
                 e.coarse_t, -sigma, sigma, color="C0", alpha=0.4, linewidth=0, label="±3 sigma of the estimator"
@@ -218,18 +231,32 @@ def _biases(figure: "Figure", flight: FlightTraces) -> "Figure":
     return _finish(figure, flight, axes, f"{flight.label}: gyro biases")
 
 
-def _shade(ax: "Axes", flight: FlightTraces) -> None:
-    """Draw the phases of flight behind the curves; straight flight stays white."""
-    if not len(flight.phase) or not ax.axison:
+def shade(ax: "Axes", t: np.ndarray, phase: np.ndarray) -> None:
+    """Draw the phases of flight behind the curves; straight flight stays white.
+
+    Args:
+        ax: with time on its x axis.
+        t: (n,) s, rising.
+        phase: (n,) index into `PHASES`.
+    """
+    if not len(phase) or not ax.axison:
         return
     low, high = ax.get_xlim()
-    starts = np.flatnonzero(np.r_[True, np.diff(flight.phase) != 0])
-    ends = np.r_[starts[1:], len(flight.phase) - 1]
-    for a, b in zip(flight.truth_t[starts], flight.truth_t[ends], strict=True):
-        shade = _SHADES[flight.phase[np.searchsorted(flight.truth_t, a)]]
-        if shade and b > low and a < high:
-            ax.axvspan(max(a, low), min(b, high), color=shade, linewidth=0, zorder=0)
+    starts = np.flatnonzero(np.r_[True, np.diff(phase) != 0])
+    ends = np.r_[starts[1:], len(phase) - 1]
+    for a, b in zip(starts, ends, strict=True):
+        color = _SHADES[phase[a]]
+        if color and t[b] > low and t[a] < high:
+            ax.axvspan(max(t[a], low), min(t[b], high), color=color, linewidth=0, zorder=0)
     ax.set_xlim(low, high)
+
+
+def shades(phase: np.ndarray) -> "tuple[list[Any], list[str]]":
+    """Make handles and labels for a legend of the phases that are shaded."""
+    from matplotlib.patches import Patch
+
+    used = [int(k) for k in np.unique(phase) if _SHADES[k]]
+    return [Patch(color=_SHADES[k]) for k in used], [PHASES[k] for k in used]
 
 
 def _label(ax: "Axes", text: str) -> None:
@@ -241,15 +268,12 @@ def _label(ax: "Axes", text: str) -> None:
 def _finish(figure: "Figure", flight: FlightTraces, axes: np.ndarray, title: str) -> "Figure":
     axes[-1].set_xlabel("time, s")
     for ax in axes:
-        _shade(ax, flight)
+        shade(ax, flight.truth_t, flight.phase)
     figure.suptitle(title)
     handles, labels = axes[0].get_legend_handles_labels()
     if handles:
-        if len(flight.phase):
-            from matplotlib.patches import Patch
-
-            handles += [Patch(color=_SHADES[k], label=PHASES[k]) for k in np.unique(flight.phase) if _SHADES[k]]
-            labels += [PHASES[k] for k in np.unique(flight.phase) if _SHADES[k]]
+        patches, names = shades(flight.phase)
+        handles, labels = [*handles, *patches], [*labels, *names]
         columns = math.ceil(len(handles) / math.ceil(len(handles) / 8))
         figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8)
     return figure
