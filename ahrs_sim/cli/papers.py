@@ -13,7 +13,7 @@ def add_parser(commands: Commands) -> argparse.ArgumentParser:
     command.add_argument("name", nargs="*", help="cubature, adaptive_ins, fuzzy, emitter, switched (default: all)")
     command.add_argument("--quick", action="store_true", help="make few runs, as a trial")
     command.add_argument("--json", action="store_true", help="print JSON")
-    command.add_argument("--markdown", type=Path, metavar="FILE", help="write the page of results (docs/papers.md)")
+    command.add_argument("--markdown", type=Path, metavar="FILE", help="write results into the page docs/papers.md")
     return command
 
 
@@ -37,4 +37,5 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.json:
         print(json.dumps([result.as_json() for result in done], indent=1))
     if arguments.markdown:
-        arguments.markdown.write_text(papers.markdown(done), encoding="utf-8")
+        page = arguments.markdown.read_text(encoding="utf-8") if arguments.markdown.exists() else ""
+        arguments.markdown.write_text(papers.markdown(done, page), encoding="utf-8")

@@ -10,6 +10,7 @@ import concurrent.futures as futures
 import importlib
 import math
 import multiprocessing
+import re
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -160,17 +161,16 @@ def run_all(chosen: Sequence[str], quick: bool = False, workers: int = 2) -> Ite
         yield from pool.map(run, chosen, [quick] * len(chosen))
 
 
-def markdown(results: Sequence[Reproduction]) -> str:
-    """Write the page `docs/papers.md`."""
-    lines = [
-        "# The papers, reproduced",
-        "",
+def markdown(results: Sequence[Reproduction], page: str = "") -> str:
+    """Write the page `docs/papers.md`: sections of the results, and of the other papers those of `page`, as it was."""
+    sections = {head[1]: head[0].rstrip() for head in re.findall(r"(^## (\w+)\n.*?)(?=^## |\Z)", page, re.M | re.S)}
+    sections |= {r.name: f"## {r.name}\n\n```text\n{r.text()}\n```" for r in results}
+    head = (
+        "# The papers, reproduced\n\n"
         "Made by `ahrs-sim papers --markdown docs/papers.md`; do not edit. What each paper claims, what comes out here "
-        "under the same conditions, and why where it differs. No figure is tuned to match.",
-    ]
-    for result in results:
-        lines += ["", f"## {result.name}", "", "```text", result.text(), "```"]
-    return "\n".join(lines) + "\n"
+        "under the same conditions, and why where it differs. No figure is tuned to match."
+    )
+    return "\n\n".join([head, *(sections[name] for name in names() if name in sections)]) + "\n"
 
 
 def _figure(value: Figure) -> str:

@@ -53,12 +53,18 @@ def test_the_stepped_regime_covers_every_minute():
 
 
 def test_the_page_and_the_command(monkeypatch, capsys, tmp_path):
-    made = Reproduction("x", "title", "source", "conditions", [Claim("a", 1.0, 1.0, "", Outcome.REPRODUCED)])
+    made = Reproduction("fuzzy", "title", "source", "conditions", [Claim("a", 1.0, 1.0, "", Outcome.REPRODUCED)])
     monkeypatch.setattr(papers, "run_all", lambda chosen, quick, workers: iter([made]))
     page = tmp_path / "papers.md"
     assert cli.main(["papers", "fuzzy", "--markdown", str(page)]) == 0
-    assert "x: title" in capsys.readouterr().out
-    assert page.read_text().startswith("# The papers, reproduced") and "## x" in page.read_text()
+    assert "fuzzy: title" in capsys.readouterr().out
+    assert page.read_text().startswith("# The papers, reproduced") and page.read_text().count("\n## ") == 1
+    kept = "\n\n## emitter\n\n```text\nas it was\n```\n"
+    page.write_text(page.read_text().replace("fuzzy: title", "before").rstrip() + kept)
+    assert cli.main(["papers", "fuzzy", "--markdown", str(page)]) == 0
+    assert page.read_text().endswith(kept) and page.read_text().count("\n## ") == 2
+    assert "fuzzy: title" in page.read_text() and "before" not in page.read_text()
+    capsys.readouterr()
     assert cli.main(["papers", "fuzzy", "--quick", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)[0]["claims"][0]["outcome"] == "reproduced"
     assert cli.main(["papers", "fuzy"]) == 2
