@@ -19,7 +19,8 @@ import math
 import sys
 import time
 import warnings
-from collections.abc import Sequence
+from collections import ChainMap
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -313,12 +314,17 @@ def without_gnss(samples: Samples) -> Samples:
     return replace(samples, gnss_new=samples.gnss_new & ~lost, **blank)
 
 
-def flight(name: str, seed: int, duration: float | None, peers: bool, bounds: bool) -> dict[str, dict[str, Any]]:
-    """Figures of every estimator of one flight; with its bounds if asked."""
+def windy(name: str, seed: int, duration: float | None) -> scenario.Scenario:
+    """Load a scenario with 5 m/s of wind and no estimators."""
     known = scenario.load(name).data
     known.pop("catalogue", None)
     data = known | {"wind": known["wind"] | {"speed_mps": 5.0, "at_20ft_mps": 5.0}, "estimator": {}}
-    truth, suites = sensed(scenario.parse(data, name, name, seed=seed, duration=duration), SUITES)
+    return scenario.parse(data, name, name, seed=seed, duration=duration)
+
+
+def flight(name: str, seed: int, duration: float | None) -> dict[str, dict[str, Any]]:
+    """Figures of every estimator of one flight: `ROW-SUITE`."""
+    truth, suites = sensed(windy(name, seed, duration), SUITES)
     found: dict[str, dict[str, Any]] = {}
     for suite, sent in suites.items():
         for key, (_, settings, _, _) in ROWS.items():
@@ -335,22 +341,29 @@ def flight(name: str, seed: int, duration: float | None, peers: bool, bounds: bo
             if key in SMOOTHED and suite == SMOOTHED_SUITE:
                 made = smooth(estimator, samples)
                 found[f"{key}-smoothed-{suite}"] = figures_of(made, truth, sent, low, high, plain)
-        for peer in PEERS if peers else ():
+    return found
+
+
+def peers(name: str, seed: int, duration: float | None) -> dict[str, dict[str, Any]]:
+    """Figures of the peers on one flight: `PEER-SUITE`, with the aid between where they have one."""
+    truth, suites = sensed(windy(name, seed, duration), SUITES)
+    found = {}
+    for suite, sent in suites.items():
+        for peer in PEERS:
             for end, own in (("", {}), ("-air", {"aiding": "airspeed"}), ("-gnss", {"aiding": "gnss"})):
                 if end != "-gnss" or peer in WITH_VELOCITY:
-                    estimator = estimators.create(peer, site=sent.place, sensors=sent.sheet, **own)
+                    estimator: Any = estimators.create(peer, site=sent.place, sensors=sent.sheet, **own)
                     made = estimator.process(sent.samples)
                     found[f"{peer}{end}-{suite}"] = figures_of(made, truth, sent, START, math.inf, False)
-    return found | (bounds_of(data, name, seed, duration) if bounds else {})
+    return found
 
 
-def bounds_of(data: dict[str, Any], name: str, seed: int, duration: float | None) -> dict[str, dict[str, Any]]:
+def bounds(name: str, seed: int, duration: float | None) -> dict[str, dict[str, Any]]:
     """The bounds of a flight as if they were estimators: `bound-AIDS-SUITE`."""
-    flown = scenario.parse(data, name, name, seed=seed, duration=duration)
     found = {}
     for suite in SUITES:
-        made = bound.make(flown, suite, aids={key: bound.AIDS[aids] for key, aids in BOUNDS.items()})
-        for key, one in made.items():
+        aids = {key: bound.AIDS[aids] for key, aids in BOUNDS.items()}
+        for key, one in bound.make(windy(name, seed, duration), suite, aids=aids).items():
             tilt, heading = (math.degrees(x) for x in one.rms(START))
             found[f"bound-{key}-{suite}"] = {
                 "tilt_rmse_deg": tilt, "heading_rmse_deg": heading, "nees": None, "nis": None,
@@ -516,12 +529,15 @@ def times_bound(flown: dict[int, list[dict[str, Any]]], key: str, suite: str) ->
     return f"{found[0] / least[0]:.2f} / {found[1] / least[1]:.2f}"
 
 
+PARTS = ("peers", "bounds", "planted", "calibrations", "flights")
+
+
 class Kept:
-    """What has flown, in a file where one is named: `flights`, `planted` and `calibrations` by seed."""
+    """What has flown, by part and seed, in a file where one is named."""
 
     def __init__(self, file: Path | None) -> None:
         self.file = file
-        self.parts: dict[str, dict[str, Any]] = {"flights": {}, "planted": {}, "calibrations": {}}
+        self.parts: dict[str, dict[str, Any]] = {part: {} for part in PARTS}
         if file and file.exists():
             self.parts |= json.loads(file.read_text())
 
@@ -531,29 +547,43 @@ class Kept:
         if self.file:
             self.file.write_text(json.dumps(self.parts))
 
-    def missing(self, part: str, seeds: Sequence[int]) -> list[int]:
-        """List the seeds that have not flown."""
-        return [seed for seed in seeds if str(seed) not in self.parts[part]]
-
     def of(self, part: str) -> dict[int, Any]:
         """Return what is there, by seed, rising."""
         return {int(seed): self.parts[part][seed] for seed in sorted(self.parts[part], key=int)}
 
+    def flown(self) -> dict[int, list[dict[str, Any]]]:
+        """Return the flights by seed, with what the peers made of them and their bounds."""
+        beside = [self.of(part) for part in ("peers", "bounds")]
+        flights = self.of("flights")
+        for seed, pair in flights.items():
+            more = [one[seed] for one in beside if seed in one]
+            flights[seed] = [dict(ChainMap(*parts)) for parts in zip(pair, *more, strict=True)]
+        return flights
+
 
 def fly_all(arguments: argparse.Namespace, seeds: range, kept: Kept) -> None:
-    """Fly what is not there yet: planted causes, calibrations, then both flights of every seed."""
+    """Fly what is not there yet."""
     from calibration_flight import flown as calibration  # which needs this module
 
     begun = time.perf_counter()
     with ProcessPoolExecutor(arguments.jobs) as pool:
-        waiting: list[tuple[str, int, list[Any]]] = []
-        for seed in kept.missing("planted", seeds[: arguments.planted]):
-            waiting.append(("planted", seed, [pool.submit(planted_flight, key, seed) for key in PLANTED]))
-        for seed in kept.missing("calibrations", seeds[: arguments.calibrations]):
-            waiting.append(("calibrations", seed, [pool.submit(calibration, seed)]))
-        for seed in kept.missing("flights", seeds):
-            how = arguments.duration, seed in seeds[: arguments.peers], seed in seeds[: arguments.bounds]
-            waiting.append(("flights", seed, [pool.submit(flight, name, seed, *how) for name in SCENARIOS]))
+
+        def both(made: Callable[..., Any], seed: int) -> list[Any]:
+            return [pool.submit(made, name, seed, arguments.duration) for name in SCENARIOS]
+
+        submit: dict[str, tuple[int, Callable[[int], list[Any]]]] = {
+            "peers": (arguments.peers, lambda seed: both(peers, seed)),
+            "bounds": (arguments.bounds, lambda seed: both(bounds, seed)),
+            "planted": (arguments.planted, lambda seed: [pool.submit(planted_flight, key, seed) for key in PLANTED]),
+            "calibrations": (arguments.calibrations, lambda seed: [pool.submit(calibration, seed)]),
+            "flights": (len(seeds), lambda seed: both(flight, seed)),
+        }
+        waiting = [
+            (part, seed, fly(seed))
+            for part, (count, fly) in submit.items()
+            for seed in seeds[:count]
+            if str(seed) not in kept.parts[part]
+        ]
         for part, seed, flights in waiting:
             kept.add(part, seed, [one.result() for one in flights])
             print(f"{part}, seed {seed}, {time.perf_counter() - begun:.0f} s", file=sys.stderr, flush=True)
@@ -577,7 +607,7 @@ def main() -> int:
     kept = Kept(arguments.figures)
     if not kept.of("flights") or arguments.more:
         fly_all(arguments, range(int(first), int(last or first) + 1), kept)
-    flown = kept.of("flights")
+    flown = kept.flown()
     length = f"the first {arguments.duration:.0f} s" if arguments.duration else "whole flights"
     flights = f"`turns` and `circuit`, {length}, wind 5 m/s, light turbulence, seeds {min(flown)} to {max(flown)}"
     from calibration_flight import lines as calibration_lines
@@ -585,9 +615,10 @@ def main() -> int:
     table = lines(flown) + calibration_lines(kept.of("calibrations")) + planted_lines(kept.of("planted"))
     print(flights, *table, sep="\n")
     if arguments.markdown:
-        peers = f"The peers flew with the first {arguments.peers} of these seeds." if arguments.peers else ""
+        count = len(kept.of("peers"))
+        peers_flew = f"The peers flew with the first {count} of these seeds." if count else ""
         head = INTRO.format(
-            flights=flights.replace("`turns`", "Scenarios `turns`", 1), start=START, worst=WORST, peers=peers
+            flights=flights.replace("`turns`", "Scenarios `turns`", 1), start=START, worst=WORST, peers=peers_flew
         )
         arguments.markdown.write_text(head + "\n".join(table) + "\n" + NOTES)
     return 0
