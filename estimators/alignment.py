@@ -38,7 +38,7 @@ from estimators.native import (
     shaped,
 )
 from estimators.plausible import MAX_FIELD, MAX_FORCE, MAX_RATE, MAX_SPEED, on_earth, plausible
-from estimators.records import PLACE, SAMPLE, SHEET, Place, Sample, Sheet
+from estimators.records import PLACE, SHEET, Place, Sample, Sheet
 from estimators.rotations import attitude_matrix, from_euler, multiply, to_body, to_nav, triad, turn
 from estimators.settings import Setting
 from estimators.types import SensorInfo, Site
@@ -513,7 +513,7 @@ def attitude_block(alignment: Alignment, out: np.ndarray) -> None:
             out[i, k] = 0.25 * total
 
 
-# For estimators whose loop is their own
+# Outside of the loop
 
 
 def pieces(t: np.ndarray, last: float) -> Iterator[tuple[int, int, bool]]:
@@ -527,26 +527,6 @@ def pieces(t: np.ndarray, last: float) -> Iterator[tuple[int, int, bool]]:
     edges = [0, *(int(c) for c in cuts if c > 0), len(t)]
     for first, end in pairwise(edges):
         yield first, end, first in cuts
-
-
-@entry("ppifffff", int)
-def align(  # type: ignore[empty-body]
-    stretch: Stretch, rows: np.ndarray, count: int, align_s: float, wait_s: float, gyro_limit: float,
-    accel_limit: float, gravity: float,
-) -> int:  # fmt: skip
-    """Take samples (records) until aligned; returns how many were taken, `stretch.phase` says what for."""
-
-
-@adapts(align)
-def _align(owner: None, kernel: Kernel) -> Kernel:
-    def body(stretch, rows, count, align_s, wait_s, gyro_limit, accel_limit, gravity):  # type: ignore[no-untyped-def]
-        s = record(stretch, STRETCH)
-        for k in range(count):
-            if take(s, record(rows, SAMPLE, k), align_s, wait_s, gyro_limit, accel_limit, gravity):
-                return k
-        return count
-
-    return body
 
 
 @entry("pippp")

@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -106,16 +106,14 @@ def emit(
         single: numbers are floats instead of doubles.
 
     Raises:
-        SettingError: a method that is no filter on a model of the catalogue.
+        SettingError: a method that is not of the catalogue.
     """
     from estimators.catalogue import create
-    from estimators.estimator import FilterEstimator
+    from estimators.estimator import Compiled
 
     made = create(name, site=site, sensors=sensors, **settings)
-    if not isinstance(made, FilterEstimator):
-        raise SettingError(
-            f"{name} cannot be exported as code: its loop is not one of a filter on a model ({type(made).__name__})"
-        )
+    if not isinstance(made, Compiled):
+        raise SettingError(f"{name} cannot be exported as code: it is not of the catalogue ({type(made).__name__})")
     with tempfile.TemporaryDirectory() as folder:
         environment = {
             **os.environ, "NUMBA_CACHE_DIR": folder, "NUMBA_OPT": "0", "NUMBA_LOOP_VECTORIZE": "0",
@@ -162,10 +160,10 @@ def _main() -> None:
 
     native.compiled = collected
     estimator = _estimator(task)
-    model, parts, instance = estimator.assemble()
-    records = {**parts, **estimator.inner_parts(model), "instance": instance}
+    parts, instance = estimator.assemble()
+    records = {**parts, "instance": instance}
     blocks = _blocks(records, list(kernels), image if task["single"] else np.ndarray.tobytes)
-    blocks["work"] = Block(estimator.work_size(), b"", {})
+    blocks["work"] = replace(blocks["work"], size=estimator.work_size())
     folder, stack = Path(task["folder"]), {}
     written = (
         {entry: (symbol, as_single(code)) for entry, (symbol, code) in kernels.items()} if task["single"] else kernels
@@ -233,9 +231,9 @@ def _block(name: str, contents: bytes, known: Mapping[int, str], kernels: list[s
     return Block(len(image), bytes(image) if known_first else b"", addresses, name in _CONSTANT)
 
 
-_POINTING = ("instance", "method", "policy", "model")
+_POINTING = ("instance", "method", "policy", "model", "work")
 _CONSTANT = ("blank",)
-_SET_BY_KERNELS = ("stretch", "memory", "parameters", "policy_parameters", "site", "sensors")
+_SET_BY_KERNELS = ("stretch", "memory", "parameters", "policy_parameters", "site", "sensors", "tape")
 
 
 def _object(kernels: Mapping[str, tuple[str, str]], target: Target, blocks: Mapping[str, Block]) -> tuple[bytes, int]:

@@ -1,9 +1,9 @@
-"""A filter on a model as an object: alignment, then the estimation loop, block by block."""
+"""Estimators as objects: alignment, then the estimation loop, block by block; the filter on a model among them."""
 
 import hashlib
 from collections.abc import Iterator, Mapping
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from estimators.records import Place, Sheet, blank_estimates, pack, pack_setting
 from estimators.run import Instance, begin, forget, process
 from estimators.types import MEASUREMENTS, Estimates, Samples, SensorInfo, Site
 
-STATE_VERSION = 3
+STATE_VERSION = 4
 _KEPT = ("clock", "u", "z", "used", "trust")
 
 
@@ -57,8 +57,135 @@ def _kind(array: np.ndarray) -> str:
     return f"a record of {array.dtype.itemsize} bytes" if array.dtype.names else f"{array.dtype}{array.shape}"
 
 
-class FilterEstimator:
-    """An estimator of the catalogue.
+class Compiled:
+    """An estimator whose loop, alignment included, is compiled as a whole (`run`, `navigator.loop`).
+
+    Args:
+        name: for messages.
+        settings: checked settings.
+        site: place and field.
+        sensors: data sheet figures.
+        entries: `process`, `forget` and `begin` of its loop.
+        key: of the loop in the disk cache.
+    """
+
+    def __init__(
+        self, name: str, settings: Mapping[str, Any], site: Site, sensors: SensorInfo,
+        entries: tuple[Any, Any, Any], key: str,
+    ) -> None:  # fmt: skip
+        self.name, self.settings, self.site, self.sensors = name, dict(settings), site, sensors
+        self._process, self._forget, self._start = (loaded(entry, key) for entry in entries)
+        self._stretch = Stretch.make()
+        self._parts: dict[str, Any] = {}
+        self._instance: Any = None
+
+    def assemble(self) -> tuple[dict[str, Any], Any]:
+        """Make all parts by name, and the record of the addresses of those that the loop takes."""
+        raise NotImplementedError
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """The memory that goes on from row to row after the alignment, by name."""
+        raise NotImplementedError
+
+    def last_t(self) -> float:
+        """Time (s) of the last row after the alignment."""
+        raise NotImplementedError
+
+    def check(self, made: Mapping[str, np.ndarray]) -> None:
+        """Raise an `EstimationError` when a state's arrays do not belong to the settings."""
+
+    def work_size(self) -> int:
+        """Bytes of the part `work` that are needed, from its beginning."""
+        raise NotImplementedError
+
+    def row_length(self) -> int:
+        """The least length of rows (`native.CAPACITY`) that is needed."""
+        raise NotImplementedError
+
+    def reset(self) -> None:
+        """Forget everything seen: align anew."""
+        if self._instance is not None:
+            self._forget(*self._own)
+
+    def prepare(self) -> None:
+        """Compile, or load from the disk, everything that `process` will need; forgets everything seen."""
+        self._bind()
+        self.reset()
+
+    def _bind(self) -> None:
+        """Put the parts together, at the first need: a model's kernels may have to be compiled."""
+        if self._instance is None:
+            self._parts, self._instance = self.assemble()
+            self._own = passed(self._instance)
+            self._forget(*self._own)
+
+    def process(self, samples: Samples) -> Estimates:
+        """One row of estimates for each row of samples.
+
+        Raises:
+            SampleError: a column of a wrong shape or type, a time stamp that is not finite or more than a second back.
+                Nothing of the block has been used then.
+        """
+        self._bind()
+        rows = pack(samples)
+        out = blank_estimates(len(rows))
+        last = float(self.last_t() if self._instance.begun else self._stretch.last_t)
+        bad = self._process(*self._own, *passed(rows), len(rows), *passed(out))
+        if bad >= 0:
+            t = rows["t"]
+            raise SampleError(f"{self.name}: time stamp {t[bad]} s in row {bad} after {t[bad - 1] if bad else last} s")
+        return unpack(out)
+
+    def state(self) -> dict[str, Any]:
+        """Copy everything that goes on from block to block.
+
+        `name`, `version` and `settings` (a hash, of place and sensors too) say whose it is; `stretch` is the
+        alignment's; `filter` None or the arrays and records of `kept`.
+        """
+        self._bind()
+        kept = {name: np.array(array) for name, array in self.kept().items()} if self._instance.begun else None
+        return {**self._owner(), "stretch": self._stretch.data.copy(), "filter": kept}
+
+    def _owner(self) -> dict[str, Any]:
+        known = f"{sorted(self.settings.items())} {self.site} {self.sensors}"
+        settings = hashlib.sha256(known.encode()).hexdigest()[:16]
+        return {"name": self.name, "version": STATE_VERSION, "settings": settings}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a copy made by `state` of an estimator of the same name, settings, place and sensors.
+
+        Raises:
+            EstimationError: a state of another estimator, or one that is damaged. The estimator is as it was then.
+        """
+        for key, own in self._owner().items():
+            if state.get(key) != own:
+                raise EstimationError(
+                    f"{self.name}: cannot go on from a state whose {key} is '{state.get(key)}', not '{own}'"
+                )
+        self._bind()
+        kept = state.get("filter")
+        stretch = self._taken(state, "stretch", self._stretch.data)
+        if kept is not None:
+            like = self.kept()
+            made = {name: self._taken(kept, name, array) for name, array in like.items()}
+            self.check(made)
+            self._start(*self._own)
+            for name, array in made.items():
+                like[name][...] = array
+        self._stretch.data[...] = stretch
+        self._instance.begun = int(kept is not None)
+
+    def _taken(self, state: Any, name: str, like: np.ndarray) -> np.ndarray:
+        """A copy of an array of a state, of the shape and type of `like`."""
+        value = state.get(name) if isinstance(state, Mapping) else None
+        if not isinstance(value, np.ndarray) or value.shape != like.shape or value.dtype != like.dtype:
+            found = _kind(value) if isinstance(value, np.ndarray) else type(value).__name__
+            raise EstimationError(f"{self.name}: the state's {name} is {found}, expected {_kind(like)}")
+        return np.array(value, order="C")
+
+
+class FilterEstimator(Compiled):
+    """A filter on a model.
 
     Args:
         name: for messages.
@@ -78,10 +205,9 @@ class FilterEstimator:
         site: Site,
         sensors: SensorInfo,
     ) -> None:
-        self.name, self.settings, self.site, self.sensors = name, dict(settings), site, sensors
+        super().__init__(name, settings, site, sensors, (process, forget, begin), "run")
         self._method, self._module, self._policy = method, model, adaptation.make(settings)
-        self._process, self._forget, self._start = (loaded(entry, "run") for entry in (process, forget, begin))
-        self._stretch, self._carry, self._work = Stretch.make(), Carry.zeros(), Work.zeros()
+        self._carry, self._work = Carry.zeros(), Work.zeros()
         self._model: Bound | None = None
 
     @property
@@ -89,28 +215,10 @@ class FilterEstimator:
         """Return what is worth an event: by column of `adaptation`, the texts for becoming 1 and 0 again."""
         return getattr(self._module, "NOTES", {})
 
-    def reset(self) -> None:
-        """Forget everything seen: align anew."""
-        if self._model is not None:
-            self._forget(*self._own)
-
-    def prepare(self) -> None:
-        """Compile, or load from the disk, everything that `process` will need; forgets everything seen."""
-        self._bind()
-        self.reset()
-
-    def _bind(self) -> Bound:
-        """Put the parts together, at the first need: a model's kernels may have to be compiled."""
-        if self._model is None:
-            self._model, self._parts, self._instance = self.assemble()
-            self._own = passed(self._instance)
-            self._forget(*self._own)
-        return self._model
-
-    def assemble(self) -> tuple[Bound, dict[str, Any], Any]:
-        """Make the model, all parts by their names in `Instance`, and this record of their addresses."""
+    def assemble(self) -> tuple[dict[str, Any], Any]:
+        """Make all parts by name, and the record of the addresses of those that the loop takes."""
         values = self.settings
-        model = Bound(self._module, self._module.layout(values), self._method.entries)
+        model = self._model = Bound(self._module, self._module.layout(values), self._method.entries)
         paper = values.get("initialisation") == "paper" and values["noise"] == "practical"
         parts = {
             "method": self._method.handle, "policy": self._policy.handle, "model": model.handle,
@@ -121,14 +229,11 @@ class FilterEstimator:
         }  # fmt: skip
         numbers = {"align_s": values["align_s"], "wait_s": values["wait_s"], "from_paper": int(paper), "begun": 0}
         numbers["begin"] = supplied(begin, None, None, "run")
-        return model, parts, joined(Instance, parts, numbers)
-
-    def inner_parts(self, model: Bound) -> dict[str, Any]:
-        """The records that handles have addresses of."""
-        return {
+        of_handles = {
             "method_parameters": self._method.parameters, "policy_parameters": self._policy.parameters,
             "parameters": model.parameters, "memory": model.memory, "blank": model.blank,
         }  # fmt: skip
+        return {**parts, **of_handles}, joined(Instance, parts, numbers)
 
     def work_size(self) -> int:
         """Bytes of `Work` that the filter needs, from its beginning."""
@@ -149,95 +254,29 @@ class FilterEstimator:
     @property
     def parameters(self) -> Any:
         """The model's record `Parameters`; None before the alignment is over."""
-        return None if self._model is None or not self._instance.begun else self._model.parameters
+        return self._model.parameters if self._model is not None and self._instance.begun else None
 
     @property
     def measurements(self) -> dict[str, slice]:
         """The columns of its innovations by the names of what is measured, `gnss.vel_n`, `mag_b`."""
         return {name: columns for name, columns in _named(self._module.Readings.dtype) if columns.stop <= MEASUREMENTS}
 
-    def process(self, samples: Samples) -> Estimates:
-        """One row of estimates for each row of samples.
+    def last_t(self) -> float:
+        """Time (s) of the last row after the alignment."""
+        return float(self._carry.clock)
 
-        Raises:
-            SampleError: a column of a wrong shape or type, a time stamp that is not finite or more than a second back.
-                Nothing of the block has been used then.
-        """
-        self._bind()
-        rows = pack(samples)
-        out = blank_estimates(len(rows))
-        last = self._last_t()
-        bad = self._process(*self._own, *passed(rows), len(rows), *passed(out))
-        if bad >= 0:
-            t = rows["t"]
-            raise SampleError(f"{self.name}: time stamp {t[bad]} s in row {bad} after {t[bad - 1] if bad else last} s")
-        return unpack(out)
+    def kept(self) -> dict[str, np.ndarray]:
+        """The filter's arrays `x` (raw,), `P` and `P_restart` (n, n) as it keeps them, the model's records, ..."""
+        model, carry = cast("Bound", self._model), self._carry
+        n = model.size
+        kept = {name: carry.data[name] for name in _KEPT} | {"x": carry.x[: model.raw]}
+        kept |= {name: carry.data[name][:n, :n] for name in ("P", "P_restart")}
+        return kept | {"parameters": model.parameters.data, "memory": model.memory.data}
 
-    def _last_t(self) -> float:
-        return float(self._carry.clock if self._instance.begun else self._stretch.last_t)
-
-    def state(self) -> dict[str, Any]:
-        """Copy everything that goes on from block to block.
-
-        `name`, `version` and `settings` (a hash, of place and sensors too) say whose it is; `stretch` is the
-        alignment's; `filter` None or the filter's arrays: `x` (raw,), `P` and `P_restart` (n, n) as the filter keeps
-        them, the records `parameters` and `memory` of the model, ...
-        """
-        kept: dict[str, Any] | None = None
-        model = self._bind()
-        if self._instance.begun:
-            n, raw = model.size, model.raw
-            kept = {name: np.array(self._carry.data[name]) for name in _KEPT}
-            kept |= {"x": self._carry.x[:raw].copy()}
-            kept |= {name: self._carry.data[name][:n, :n].copy() for name in ("P", "P_restart")}
-            kept |= {"parameters": model.parameters.data.copy(), "memory": model.memory.data.copy()}
-        return {
-            "name": self.name, "version": STATE_VERSION, "settings": self._fingerprint(),
-            "stretch": self._stretch.data.copy(), "filter": kept,
-        }  # fmt: skip
-
-    def _fingerprint(self) -> str:
-        known = f"{sorted(self.settings.items())} {self.site} {self.sensors}"
-        return hashlib.sha256(known.encode()).hexdigest()[:16]
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a copy made by `state` of an estimator of the same name, settings, place and sensors.
-
-        Raises:
-            EstimationError: a state of another estimator, or one that is damaged. The estimator is as it was then.
-        """
-        for key, own in (("name", self.name), ("version", STATE_VERSION), ("settings", self._fingerprint())):
-            if state.get(key) != own:
-                raise EstimationError(
-                    f"{self.name}: cannot go on from a state whose {key} is '{state.get(key)}', not '{own}'"
-                )
-        model, kept = self._bind(), state.get("filter")
-        stretch = self._taken(state, "stretch", self._stretch.data)
-        if kept is not None:
-            n, carry = model.size, self._carry
-            like = {"parameters": model.parameters.data, "memory": model.memory.data}
-            like |= {"x": carry.x[: model.raw], "P": carry.P[:n, :n], "P_restart": carry.P_restart[:n, :n]}
-            like |= {name: carry.data[name] for name in _KEPT}
-            made = {name: self._taken(kept, name, array) for name, array in like.items()}
-            self._check_parameters(made["parameters"])
-            self._start(*self._own)
-            for name, array in made.items():
-                like[name][...] = array
-        self._stretch.data[...] = stretch
-        self._instance.begun = int(kept is not None)
-
-    def _check_parameters(self, parameters: np.ndarray) -> None:
+    def check(self, made: Mapping[str, np.ndarray]) -> None:
         """Compare the integers of a state's parameters, sizes of arrays among them, with those of the settings."""
         other = FilterEstimator(self.name, self._method, self._module, self.settings, self.site, self.sensors)
-        model = other._bind()
+        other._bind()
         other._start(*other._own)
-        if not same_integers(parameters, model.parameters.data):
+        if not same_integers(made["parameters"], other.parameters.data):
             raise EstimationError(f"{self.name}: the state's parameters are not those of its settings")
-
-    def _taken(self, state: Any, name: str, like: np.ndarray) -> np.ndarray:
-        """A copy of an array of a state, of the shape and type of `like`."""
-        value = state.get(name) if isinstance(state, Mapping) else None
-        if not isinstance(value, np.ndarray) or value.shape != like.shape or value.dtype != like.dtype:
-            found = _kind(value) if isinstance(value, np.ndarray) else type(value).__name__
-            raise EstimationError(f"{self.name}: the state's {name} is {found}, expected {_kind(like)}")
-        return np.array(value, order="C")

@@ -157,12 +157,6 @@ FOLDER = cache_folder(_HERE)
 njit = compiler(_HERE)
 
 
-def on_disk(kernel: Any) -> bool:
-    """Tell whether a kernel (`njit`) was ever compiled from these sources, by Numba's index of it."""
-    name = f"{kernel.__module__.rpartition('.')[2]}.{kernel.__name__}-*.nbi"
-    return any(Path(FOLDER).rglob(name))
-
-
 class _Part(JITCodeLibrary):
     """Code that is only linked into other code: optimised there, where it is inlined, and never run by itself."""
 

@@ -63,7 +63,7 @@ def _blank_zero(v: np.ndarray) -> None:
 
 
 @inner
-def _screen(rows: np.ndarray, count: int, last: float, sensors: Sheet, late: bool) -> int:
+def screen(rows: np.ndarray, count: int, last: float, sensors: Sheet, late: bool) -> int:
     """Find the first row whose stamp is not finite or jumps back more than `BACKWARDS`; -1 when there is none.
 
     Rows become what the loop takes: zero on all axes of accelerometer or magnetometer is a dead sensor, not a
@@ -248,7 +248,7 @@ def _process(owner: None, kernel: Kernel) -> Kernel:
         a = record(own, INSTANCE)
         last = record(a.carry, CARRY).clock if a.begun != 0 else record(a.stretch, STRETCH).last_t
         sensors = record(a.sensors, SHEET)
-        bad = _screen(rows, count, last, sensors, is_late(sensors))
+        bad = screen(rows, count, last, sensors, is_late(sensors))
         if bad < 0:
             for k in range(count):
                 _estimate(a, record(rows, SAMPLE, k), record(out, ESTIMATE, k))

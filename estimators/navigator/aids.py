@@ -5,15 +5,15 @@ the first of a row; the sum of the corrections is applied at the end of the row.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
 from estimators.earth import apart, move
 from estimators.elementary import atan2
-from estimators.jit import njit
+from estimators.jit import inner
+from estimators.native import local
 from estimators.navigator.covariance import absorb, nis
-from estimators.navigator.history import CARRIED, WIDTH, keep, recall
+from estimators.navigator.history import ANGLES, CARRIED
 from estimators.navigator.layout import (
     BASELINE,
     FIELD,
@@ -34,8 +34,16 @@ from estimators.navigator.layout import (
     T_MAG,
     VEL,
     WANDER,
+    Batch,
+    Carry,
+    Memory,
+    Nominal,
+    Parameters,
+    Work,
 )
 from estimators.navigator.strapdown import Triple
+from estimators.past import WIDTH, keep, recall
+from estimators.records import Estimate, Sample
 from estimators.rotations import nav_vector, wrap, yaw
 from estimators.turned import carried, note_fix, refuse_field
 
@@ -46,22 +54,22 @@ UP = 1.5  # satellites are all above: vertical errors are larger by about that
 LEVEL = math.sqrt(3.0 / (2.0 + UP**2))  # of a data sheet's sigma, the mean over the axes: north and east
 
 
-@njit
-def put(work: Any, row: int, column: int, value: float) -> None:
+@inner
+def put(work: Work, row: int, column: int, value: float) -> None:
     """Add a term to the slope of measurement `row`."""
     k = work.terms[row]
     work.at[row, k], work.by[row, k] = column, value
     work.terms[row] = k + 1
 
 
-@njit
-def begin(work: Any, row: int, residual: float, variance: float) -> None:
+@inner
+def begin(work: Work, row: int, residual: float, variance: float) -> None:
     """A measurement: measured minus predicted, its variance; no slope yet."""
     work.residual[row], work.variance[row], work.terms[row] = residual, variance, 0
 
 
-@njit
-def take(model: Any, memory: Any, P: np.ndarray, work: Any, rows: int, out: Any, k: int, first: int) -> None:
+@inner
+def take(model: Parameters, memory: Memory, P: np.ndarray, work: Work, rows: int, first: int, answer: Estimate) -> None:
     """Take in the measurements of `work`; what surprises too much counts as noisier, as by a heavy-tailed error."""
     surprise = nis(P, work, rows)
     memory.seen[SURPRISE] = surprise
@@ -71,13 +79,13 @@ def take(model: Any, memory: Any, P: np.ndarray, work: Any, rows: int, out: Any,
     for i in range(rows):
         r, variance = absorb(P, work, i)
         if first >= 0:
-            out.innovation[k, first + i], out.innovation_var[k, first + i] = r, variance
+            answer.innovation[first + i], answer.innovation_var[first + i] = r, variance
 
 
-@njit
-def remember(model: Any, nominal: Any, memory: Any, w: Triple, t: float) -> None:
+@inner
+def remember(model: Parameters, nominal: Nominal, memory: Memory, w: Triple, t: float) -> None:
     """Keep what late measurements are compared with."""
-    a, q, now = model.antenna_b, nominal.q, np.empty(WIDTH)
+    a, q, now = model.antenna_b, nominal.q, local(WIDTH)
     swing = nav_vector(q, w[1] * a[2] - w[2] * a[1], w[2] * a[0] - w[0] * a[2], w[0] * a[1] - w[1] * a[0])
     lever = nav_vector(q, a[0], a[1], a[2])
     for i in range(3):
@@ -85,19 +93,16 @@ def remember(model: Any, nominal: Any, memory: Any, w: Triple, t: float) -> None
     move(nominal.lla, lever[0], lever[1], lever[2], now[3:6])
     now[6] = yaw(q)
     now[CARRIED], now[CARRIED + 1] = carried(memory.turned, swing[0], swing[1])
-    keep(memory.history, t, now)
+    keep(memory.past, t, now)
 
 
-@njit
-def take_fix(
-    model: Any, nominal: Any, memory: Any, P: np.ndarray, work: Any, rows: Any, k: int,
-    f_n: Triple, out: Any,
-) -> None:  # fmt: skip
+@inner
+def take_fix(model: Parameters, carry: Carry, work: Work, row: Sample, f_n: Triple, answer: Estimate) -> None:
     """Velocity and place of the antenna, compared with those kept from the time when they were true."""
-    c, then, off = nominal.c, np.empty(WIDTH), np.empty(3)
-    t, vel_n, lla = rows.t[k], rows.vel_n[k], rows.lla[k]
-    true_t = rows.gnss_t[k] - c[LATE]
-    if not recall(memory.history, true_t, then):
+    c, P, memory, then, off = carry.nominal.c, carry.P, carry.memory, local(WIDTH), local(3)
+    t, vel_n, lla = row.t, row.vel_n, row.lla
+    true_t = row.gnss_t - c[LATE]
+    if not recall(memory.past, true_t, ANGLES, then):
         return
     tau = t - true_t
     a_n = (f_n[0], f_n[1], f_n[2] + model.gravity)
@@ -112,7 +117,7 @@ def take_fix(
             begin(work, i, vel_n[i] - then[i], noise)
             put(work, i, VEL + i, 1.0)
             put(work, i, LATE, -a_n[i])
-        take(model, memory, P, work, 3, out, k, Z_VELOCITY)
+        take(model, memory, P, work, 3, Z_VELOCITY, answer)
         memory.clock[T_AID] = memory.clock[T_GNSS] = t
         note_fix(memory.turned, true_t, vel_n[0], vel_n[1], then[CARRIED], then[CARRIED + 1])
         memory.seen[SPEED] = math.sqrt(vel_n[0] ** 2 + vel_n[1] ** 2 + vel_n[2] ** 2)
@@ -127,13 +132,13 @@ def take_fix(
             put(work, i, WANDER + i, 1.0)
             put(work, i, LATE, -then[i])
         if abs(off[0]) + abs(off[1]) + abs(off[2]) < 1e6:
-            take(model, memory, P, work, 3, out, k, Z_PLACE)
+            take(model, memory, P, work, 3, Z_PLACE, answer)
 
 
-@njit
-def add_field(model: Any, nominal: Any, batch: Any, C: np.ndarray, field_b: np.ndarray) -> None:
+@inner
+def add_field(model: Parameters, nominal: Nominal, batch: Batch, C: np.ndarray, field_b: np.ndarray) -> None:
     """Add a reading of the magnetometer (T) to the batch: what it is off, and how that depends on the state."""
-    c, u, B = nominal.c, np.empty(3), np.empty(3)
+    c, u, B = nominal.c, local(3), local(3)
     for i in range(3):
         B[i] = model.mag_n[i] + c[FIELD + i]
         batch.read[0] += C[i, 0] * field_b[i]
@@ -160,9 +165,10 @@ def add_field(model: Any, nominal: Any, batch: Any, C: np.ndarray, field_b: np.n
     batch.total[FIELDS] += 1.0
 
 
-@njit
-def take_field(model: Any, memory: Any, P: np.ndarray, batch: Any, work: Any, t: float, out: Any, k: int) -> None:
+@inner
+def take_field(model: Parameters, carry: Carry, work: Work, t: float, answer: Estimate) -> None:
     """The mean of the readings of a batch, all three components, unless motion contradicts it."""
+    P, batch, memory = carry.P, carry.batch, carry.memory
     n = batch.total[FIELDS]
     if n == 0.0:
         return
@@ -177,18 +183,18 @@ def take_field(model: Any, memory: Any, P: np.ndarray, batch: Any, work: Any, t:
         for j in range(MAG_MATRIX, MAG_MATRIX + 9):
             put(work, i, j, batch.field_slope[i, j] / n)
         put(work, i, HARD_IRON + i, 1.0)
-    take(model, memory, P, work, 3, out, k, Z_FIELD)
+    take(model, memory, P, work, 3, Z_FIELD, answer)
     memory.clock[T_MAG] = t
 
 
-@njit
-def take_baseline(model: Any, nominal: Any, memory: Any, P: np.ndarray, work: Any, rows: Any, k: int, out: Any) -> None:
+@inner
+def take_baseline(model: Parameters, carry: Carry, work: Work, row: Sample, answer: Estimate) -> None:
     """Azimuth of the dual antenna's baseline, compared with the yaw kept from the time when it was true."""
-    c, C, then = nominal.c, work.C, np.empty(WIDTH)
-    heading, reported = rows.heading[k], rows.heading_sigma[k]
+    c, C, P, memory, then = carry.nominal.c, work.C, carry.P, carry.memory, local(WIDTH)
+    heading, reported = row.heading, row.heading_sigma
     if not (abs(heading) < 100.0 and 0.0 < reported < 10.0):
         return
-    if not recall(memory.history, rows.heading_t[k], then):
+    if not recall(memory.past, row.heading_t, ANGLES, then):
         return
     north, east, down = C[0, 0], C[0, 1], C[0, 2]
     horizontal2 = north * north + east * east
@@ -205,24 +211,23 @@ def take_baseline(model: Any, nominal: Any, memory: Any, P: np.ndarray, work: An
     put(work, 0, BASELINE, 1.0)
     put(work, 0, BASELINE + 1, yaw_share)
     put(work, 0, BASELINE + 2, pitch_share)
-    take(model, memory, P, work, 1, out, k, Z_BASELINE)
+    take(model, memory, P, work, 1, Z_BASELINE, answer)
 
 
-@njit
-def take_standstill(
-    model: Any, nominal: Any, memory: Any, P: np.ndarray, batch: Any, work: Any, t: float, out: Any, k: int
-) -> None:
+@inner
+def take_standstill(model: Parameters, carry: Carry, work: Work, t: float, answer: Estimate) -> None:
     """No velocity, and no rate but the Earth's."""
+    P, batch, memory, v = carry.P, carry.batch, carry.memory, carry.nominal.v
     seconds = batch.total[SECONDS]
     if not seconds > 0.0:
         return
     for i in range(3):
-        begin(work, i, -nominal.v[i], STILL_SPEED**2)
+        begin(work, i, -v[i], STILL_SPEED**2)
         put(work, i, VEL + i, 1.0)
-    take(model, memory, P, work, 3, out, k, -1)
+    take(model, memory, P, work, 3, -1, answer)
     for i in range(3):
         begin(work, i, batch.rate[i] / seconds, 4.0 * model.gyro_psd / seconds)
         for column in (GYRO_BIAS, GYRO_FAST, GYRO_SLOW):
             put(work, i, column + i, 1.0)
-    take(model, memory, P, work, 3, out, k, -1)
+    take(model, memory, P, work, 3, -1, answer)
     memory.clock[T_AID] = t

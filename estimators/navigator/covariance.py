@@ -1,32 +1,41 @@
 """How sure the navigator is: the covariance moved batch by batch, and measurements taken in one number at a time."""
 
 import math
-from typing import Any
 
 import numpy as np
 
 from estimators.elementary import exp
-from estimators.jit import njit
+from estimators.jit import inner
+from estimators.native import record
 from estimators.navigator.layout import (
     COUPLED,
     FORCE_VARIANCE,
     GYRO_VARIANCE,
     MOVING,
+    NOTED_BATCH,
+    NOTED_NUMBER,
+    NUMBERS,
     PHI,
     SECONDS,
     SMOOTHED,
+    TAPE,
+    TOTALS,
     VEL,
+    Batch,
     N,
+    Parameters,
+    Tape,
+    Work,
 )
 
 
-@njit
-def clear(batch: Any) -> None:
+@inner
+def clear(batch: Batch) -> None:
     """Begin a batch: the transition is the identity."""
     for i in range(MOVING):
         for k in range(COUPLED):
             batch.F[i, k] = 1.0 if i == k else 0.0
-    for i in range(batch.total.shape[0]):
+    for i in range(TOTALS):
         batch.total[i] = 0.0
     for i in range(3):
         batch.field[i] = batch.rate[i] = 0.0
@@ -35,8 +44,8 @@ def clear(batch: Any) -> None:
             batch.field_slope[i, k] = 0.0
 
 
-@njit
-def move(model: Any, c: np.ndarray, P: np.ndarray, batch: Any, work: Any) -> None:
+@inner
+def move(model: Parameters, c: np.ndarray, P: np.ndarray, batch: Batch, work: Work) -> None:
     """`P = F P F^T + Q` over a batch, and what decays in the constants c; both halves of P."""
     F, G, seconds = batch.F, work.G, batch.total[SECONDS]
     for i in range(MOVING):
@@ -69,8 +78,8 @@ def move(model: Any, c: np.ndarray, P: np.ndarray, batch: Any, work: Any) -> Non
         P[i, i] += model.walk[i] * seconds
 
 
-@njit
-def nis(P: np.ndarray, work: Any, rows: int) -> float:
+@inner
+def nis(P: np.ndarray, work: Work, rows: int) -> float:
     """Normalised innovation squared of the `rows` (at most 3) measurements in `work`, per degree of freedom."""
     S, at, by = work.S, work.at, work.by
     for a in range(rows):
@@ -100,8 +109,8 @@ def nis(P: np.ndarray, work: Any, rows: int) -> float:
     return total / rows
 
 
-@njit
-def absorb(P: np.ndarray, work: Any, row: int) -> tuple[float, float]:
+@inner
+def absorb(P: np.ndarray, work: Work, row: int) -> tuple[float, float]:
     """Condition P and `work.dx` on measurement `row`; its innovation, given those before it, and the variance of it."""
     gain, dx, at, by = work.gain, work.dx, work.at[row], work.by[row]
     r, variance = work.residual[row], work.variance[row]
@@ -120,48 +129,53 @@ def absorb(P: np.ndarray, work: Any, row: int) -> tuple[float, float]:
         dx[i] += share * r
         for j in range(N):
             line[j] -= share * gain[j]
-    if work.tape.slope.shape[0] > 0:
-        note_number(work.tape, work, row, r, variance)
+    note_number(record(work.tape, TAPE), work, row, r, variance)
     return r, variance
 
 
-@njit
-def note_number(tape: Any, work: Any, row: int, innovation: float, variance: float) -> None:
+@inner
+def note_number(tape: Tape, work: Work, row: int, innovation: float, variance: float) -> None:
     """Put the number that was just taken in on the tape."""
-    n = tape.used[1]
-    if n < tape.slope.shape[0]:
+    n = tape.number
+    if n < NUMBERS * tape.room:
+        noted = record(tape.numbers, NOTED_NUMBER, n)
         for j in range(N):
-            tape.slope[n, j], tape.gain[n, j] = 0.0, work.gain[j]
+            noted.slope[j], noted.gain[j] = 0.0, work.gain[j]
         for k in range(work.terms[row]):
-            tape.slope[n, work.at[row, k]] += work.by[row, k]
-        tape.innovation[n, 0], tape.innovation[n, 1] = innovation, variance
-        tape.used[1] = n + 1
+            noted.slope[work.at[row, k]] += work.by[row, k]
+        noted.innovation, noted.variance = innovation, variance
+        tape.number = n + 1
 
 
-@njit
-def note_motion(tape: Any, work: Any, F: np.ndarray) -> None:
+@inner
+def note_motion(work: Work, batch: Batch) -> None:
     """Put the transition of a batch on the tape, before its numbers."""
-    b = tape.used[0]
-    if b < tape.F.shape[0]:
-        tape.F[b] = F
-        tape.keep[b] = work.keep
-        tape.first[b] = tape.used[1]
+    tape = record(work.tape, TAPE)
+    if tape.batch < tape.room:
+        noted = record(tape.batches, NOTED_BATCH, tape.batch)
+        for i in range(MOVING):
+            for k in range(COUPLED):
+                noted.F[i, k] = batch.F[i, k]
+        for i in range(N):
+            noted.keep[i] = work.keep[i]
+        noted.first = tape.number
 
 
-@njit
-def note_end(tape: Any, work: Any, P: np.ndarray, lost: bool, row: int) -> None:
-    """Put the end of a batch on the tape."""
-    b = tape.used[0]
-    if b < tape.F.shape[0]:
-        tape.row[b], tape.lost[b] = row, lost
+@inner
+def note_end(work: Work, P: np.ndarray, lost: bool, row: int) -> None:
+    """Put the end of a batch, with a row of the block, on the tape."""
+    tape = record(work.tape, TAPE)
+    if tape.batch < tape.room:
+        noted = record(tape.batches, NOTED_BATCH, tape.batch)
+        noted.row, noted.lost = row, 1 if lost else 0
         for i in range(SMOOTHED):
-            tape.dx[b, i] = work.dx[i]
+            noted.dx[i] = work.dx[i]
             for j in range(N):
-                tape.P[b, i, j] = P[i, j]
-        tape.used[0] = b + 1
+                noted.P[i, j] = P[i, j]
+        tape.batch += 1
 
 
-@njit
+@inner
 def symmetric(P: np.ndarray) -> None:
     """Make both halves of P the same to the last bit."""
     for i in range(N):

@@ -15,11 +15,12 @@ which no reading shows, is then the same direction of the error state whatever h
 not become certain of it.
 """
 
-from typing import NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 
-from estimators.navigator.history import History
+from estimators.native import Address, Flag, Integer, Matrix3, Number, Record, Vector3, Vector4, joined, shaped
+from estimators.past import Ring
 from estimators.turned import Turned
 
 PHI, VEL, POS = 0, 3, 6
@@ -31,183 +32,156 @@ MOVING = 9  # components that move by themselves
 SMOOTHED = 21  # components that a smoother gives: to the bias of the accelerometer
 COUPLED = HARD_IRON  # those before it act on them
 FAST_TIME, SLOW_TIME = 10.0, 100.0  # s, of the terms of the gyro's bias in run
-
-
-class Rows(NamedTuple):
-    """The columns of `Samples` that are used, contiguous."""
-
-    t: np.ndarray
-    gyro_b: np.ndarray
-    accel_b: np.ndarray
-    mag_b: np.ndarray
-    mag_new: np.ndarray
-    lla: np.ndarray
-    vel_n: np.ndarray
-    gnss_t: np.ndarray
-    gnss_new: np.ndarray
-    heading: np.ndarray
-    heading_sigma: np.ndarray
-    heading_t: np.ndarray
-    heading_new: np.ndarray
-
-
-class Answers(NamedTuple):
-    """The columns of `Estimates`, to be filled."""
-
-    t: np.ndarray
-    status: np.ndarray
-    q_nb: np.ndarray
-    down_b: np.ndarray
-    att_cov: np.ndarray
-    gyro_bias: np.ndarray
-    gyro_bias_sigma: np.ndarray
-    accel_bias: np.ndarray
-    accel_bias_sigma: np.ndarray
-    lla: np.ndarray
-    vel_n: np.ndarray
-    pos_cov: np.ndarray
-    vel_cov: np.ndarray
-    innovation: np.ndarray
-    innovation_var: np.ndarray
-    adaptation: np.ndarray
-
-
-class Parameters(NamedTuple):
-    """Holds the parameters that are constant during a flight."""
-
-    gravity: float  # m/s2 at `origin`
-    origin: np.ndarray  # (3,) rad, rad, m
-    mag_n: np.ndarray  # (3,) T
-    antenna_b: np.ndarray  # (3,) m
-    gyro_psd: float  # rad2/s
-    rate_noise: float  # s: gyro_psd + rate_noise |w|^2
-    jerk_share: float  # gyro_psd + jerk_share dt (variance between samples)
-    accel_psd: float  # m2/s3
-    shake_share: float  # accel_psd + shake_share dt (variance between samples), at most `shake_most`
-    shake_most: float  # m2/s3
-    accel_noise2: float  # s, accel_psd + accel_noise2 |a|^2
-    decay: np.ndarray  # (N,) 1/s: zero for a constant
-    walk: np.ndarray  # (N,) variance per second of what walks
-    settled: np.ndarray  # (N,) variance of what decays
-    iron_step: float  # T2, of the hard iron when the aircraft sets off: the motor's current
-    still: np.ndarray  # (2,) rad/s, m/s2: scatter of a still second
-    gnss_velocity: float  # m/s
-    gnss_position: float  # m, from fix to fix
-    gnss_time: float  # s, of the time of a fix, from fix to fix
-    mag_noise: float  # T, of one sample
-    mag_floor: float  # T, of one use of the field, whatever the number of samples
-    gyro_delay: float  # s: estimates are turned on by so much, to the stamp
-    accel_delay: float  # s: and moved on by so much
-    baseline_share: float  # of the reported sigma that is white
-    surprise: float  # of a measurement, per degree of freedom: beyond, its noise is taken as larger
-    field_off: float  # rad, of the field's heading against motion's: it is given up
-    use_heading: bool
-
-
-class Nominal(NamedTuple):
-    """The state, updated in place."""
-
-    q: np.ndarray  # (4,) q_nb
-    v: np.ndarray  # (3,) m/s NED
-    lla: np.ndarray  # (3,) rad, rad, m
-    c: np.ndarray  # (N,) the constants, at their offsets; the first nine unused
-
-
-class Memory(NamedTuple):
-    """Carries what is kept from row to row beside the state."""
-
-    clock: np.ndarray  # (CLOCKS,) s
-    last: np.ndarray  # (2, 3) last good rate and force
-    mean: np.ndarray  # (2, 3) mean rate and force of the step
-    step: np.ndarray  # (2, 3) rad/s, m/s2: last changes of rate and force
-    second: np.ndarray  # (2, 6) mean and spread of the present second
-    seen: np.ndarray  # (SEEN,)
-    turned: Turned  # the heading that motion shows
-    history: History
-
-
 T_LAST, T_GOOD, T_BATCH, T_AID, T_GNSS, T_MAG, T_SECOND, CLOCKS = range(8)
 GOOD, JERK, SHAKE, COUNT, IS_STILL, WAS_STILL, SPEED, SURPRISE, SEEN = range(9)
-
-
-class Batch(NamedTuple):
-    """Accumulates the motion since the covariance was last propagated."""
-
-    F: np.ndarray  # (MOVING, COUPLED) transition of the moving components; the others keep
-    total: np.ndarray  # (TOTALS,)
-    field: np.ndarray  # (3,) T, sum of measured minus predicted field
-    read: np.ndarray  # (2,) T, sum of the readings as they are, north and east
-    field_slope: np.ndarray  # (3, N) sum of its slopes
-    rate: np.ndarray  # (3,) rad, turned in it, the Earth's turning taken off
-
-
 GYRO_VARIANCE, FORCE_VARIANCE, SECONDS, FIELDS, TOTALS = range(5)
 
+Errors = Annotated[np.ndarray, shaped(N)]
+Covariance = Annotated[np.ndarray, shaped(N, N)]
+Pairs3 = Annotated[np.ndarray, shaped(2, 3)]
+Transition = Annotated[np.ndarray, shaped(MOVING, COUPLED)]
 
-class Tape(NamedTuple):
-    """Records what the smoother needs of each batch and each measurement; see `smoother`."""
 
-    used: np.ndarray  # (2,) int64: batches, numbers
-    row: np.ndarray  # (batches,) int64, with which it ended
-    first: np.ndarray  # (batches,) int64, its first number
-    lost: np.ndarray  # (batches,) bool: begun anew
-    F: np.ndarray  # (batches, MOVING, COUPLED)
-    keep: np.ndarray  # (batches, N) what is left of the constants
-    dx: np.ndarray  # (batches, SMOOTHED) the correction
-    P: np.ndarray  # (batches, SMOOTHED, N) afterwards
-    slope: np.ndarray  # (numbers, N)
-    gain: np.ndarray  # (numbers, N), covariance with the number
-    innovation: np.ndarray  # (numbers, 2) and its variance
+class Parameters(Record):
+    """Holds the parameters that are constant during a flight."""
+
+    gravity: Number  # m/s2 at `origin`
+    origin: Vector3  # rad, rad, m
+    mag_n: Vector3  # T
+    antenna_b: Vector3  # m
+    gyro_psd: Number  # rad2/s
+    rate_noise: Number  # s: gyro_psd + rate_noise |w|^2
+    jerk_share: Number  # gyro_psd + jerk_share dt (variance between samples)
+    accel_psd: Number  # m2/s3
+    shake_share: Number  # accel_psd + shake_share dt (variance between samples), at most `shake_most`
+    shake_most: Number  # m2/s3
+    accel_noise2: Number  # s, accel_psd + accel_noise2 |a|^2
+    decay: Errors  # 1/s: zero for a constant
+    walk: Errors  # variance per second of what walks
+    settled: Errors  # variance of what decays
+    iron_step: Number  # T2, of the hard iron when the aircraft sets off: the motor's current
+    still_rate: Number  # rad/s, scatter of a still second
+    still_force: Number  # m/s2, likewise
+    gnss_velocity: Number  # m/s
+    gnss_position: Number  # m, from fix to fix
+    gnss_time: Number  # s, of the time of a fix, from fix to fix
+    mag_noise: Number  # T, of one sample
+    mag_floor: Number  # T, of one use of the field, whatever the number of samples
+    gyro_delay: Number  # s: estimates are turned on by so much, to the stamp
+    accel_delay: Number  # s: and moved on by so much
+    baseline_share: Number  # of the reported sigma that is white
+    surprise: Number  # of a measurement, per degree of freedom: beyond, its noise is taken as larger
+    field_off: Number  # rad, of the field's heading against motion's: it is given up
+    use_heading: Flag
+
+
+class Nominal(Record):
+    """The state, updated in place."""
+
+    q: Vector4  # q_nb
+    v: Vector3  # m/s NED
+    lla: Vector3  # rad, rad, m
+    c: Errors  # the constants, at their offsets; the first nine unused
+
+
+class Memory(Record):
+    """Carries what is kept from row to row beside the state."""
+
+    clock: Annotated[np.ndarray, shaped(CLOCKS)]  # s
+    last: Pairs3  # last good rate and force
+    mean: Pairs3  # mean rate and force of the step
+    step: Pairs3  # rad/s, m/s2: last changes of rate and force
+    second: Annotated[np.ndarray, shaped(2, 6)]  # mean and spread of the present second
+    seen: Annotated[np.ndarray, shaped(SEEN)]
+    turned: Turned  # the heading that motion shows
+    past: Ring  # the antenna's velocity and place, the yaw, and the velocity that the gyro alone carries (`turned`)
+
+
+class Batch(Record):
+    """Accumulates the motion since the covariance was last propagated."""
+
+    F: Transition  # of the moving components; the others keep
+    total: Annotated[np.ndarray, shaped(TOTALS)]
+    field: Vector3  # T, sum of measured minus predicted field
+    read: Annotated[np.ndarray, shaped(2)]  # T, sum of the readings as they are, north and east
+    field_slope: Annotated[np.ndarray, shaped(3, N)]  # sum of its slopes
+    rate: Vector3  # rad, turned in it, the Earth's turning taken off
+
+
+class Carry(Record):
+    """Everything that goes on from row to row."""
+
+    nominal: Nominal
+    P: Covariance
+    P_restart: Covariance  # when the filter is lost
+    batch: Batch
+    memory: Memory
+    safe: Nominal  # when the covariance was last sound
+
+
+class Work(Record):
+    """Scratch, nothing to keep."""
+
+    tape: Address  # a `Tape`
+    G: Annotated[np.ndarray, shaped(MOVING, N)]
+    gain: Errors
+    dx: Errors
+    at: Annotated[np.ndarray, shaped(3, N, dtype=np.int64)]  # columns of a slope that are not zero
+    by: Annotated[np.ndarray, shaped(3, N)]  # their values
+    terms: Annotated[np.ndarray, shaped(3, dtype=np.int64)]
+    residual: Vector3
+    variance: Vector3
+    S: Matrix3
+    C: Matrix3  # C_bn
+    keep: Errors  # what is left of the constants after a batch
 
     @classmethod
-    def make(cls, batches: int) -> "Tape":
-        """Make a tape for a number of batches; 0 keeps nothing."""
-        numbers = 16 * batches
-        return cls(
-            np.zeros(2, np.int64),
-            np.zeros(batches, np.int64),
-            np.zeros(batches, np.int64),
-            np.zeros(batches, bool),
-            np.zeros((batches, MOVING, COUPLED)),
-            np.ones((batches, N)),
-            np.zeros((batches, SMOOTHED)),
-            np.zeros((batches, SMOOTHED, N)),
-            np.zeros((numbers, N)),
-            np.zeros((numbers, N)),
-            np.zeros((numbers, 2)),
-        )
+    def make(cls, tape: Any) -> Any:
+        """Make the memory, with a tape (`tape`)."""
+        kinds = {name: cls.dtype[name] for name in cls.dtype.names or () if name != "tape"}
+        return joined(cls, {"tape": tape}, {name: np.zeros(kind.shape, kind.base) for name, kind in kinds.items()})
 
 
-class Work(NamedTuple):
-    """Scratch, nothing to keep; and the tape, empty for a filter."""
+class Tape(Record):
+    """What the smoother needs of each batch and each measurement; see `smoother`."""
 
-    G: np.ndarray  # (MOVING, N)
-    gain: np.ndarray  # (N,)
-    dx: np.ndarray  # (N,)
-    at: np.ndarray  # (3, N) int64, columns of a slope that are not zero
-    by: np.ndarray  # (3, N) their values
-    terms: np.ndarray  # (3,) int64
-    residual: np.ndarray  # (3,)
-    variance: np.ndarray  # (3,)
-    S: np.ndarray  # (3, 3)
-    C: np.ndarray  # (3, 3) C_bn
-    keep: np.ndarray  # (N,)
-    tape: Tape
+    batches: Address  # of `NotedBatch`, `room` of them
+    numbers: Address  # of `NotedNumber`, sixteen times as many
+    room: Integer  # 0: nothing is noted
+    batch: Integer  # how many batches there are
+    number: Integer  # how many numbers
 
-    @classmethod
-    def make(cls, batches: int = 0) -> "Work":
-        """Make the memory, with room on the tape for a number of batches."""
-        return cls(
-            np.zeros((MOVING, N)),
-            np.zeros(N),
-            np.zeros(N),
-            np.zeros((3, N), np.int64),
-            np.zeros((3, N)),
-            np.zeros(3, np.int64),
-            np.zeros(3),
-            np.zeros(3),
-            np.zeros((3, 3)),
-            np.zeros((3, 3)),
-            np.ones(N),
-            Tape.make(batches),
-        )
+
+class NotedBatch(Record):
+    """A batch on the tape."""
+
+    row: Integer  # with which it ended
+    first: Integer  # its first number
+    lost: Integer  # 1: begun anew
+    F: Transition
+    keep: Errors
+    dx: Annotated[np.ndarray, shaped(SMOOTHED)]  # the correction
+    P: Annotated[np.ndarray, shaped(SMOOTHED, N)]  # afterwards
+
+
+class NotedNumber(Record):
+    """A measured number on the tape."""
+
+    slope: Errors
+    gain: Errors  # covariance with the number
+    innovation: Number
+    variance: Number  # of it
+
+
+NUMBERS = 16  # for each batch
+
+
+def tape(room: int = 0) -> Any:
+    """Make a `Tape` for a number of batches, and their memory (kept by the caller): tape, batches, numbers."""
+    batches, numbers = np.zeros(room, NotedBatch.dtype), np.zeros(NUMBERS * room, NotedNumber.dtype)
+    parts, counts = {"batches": batches, "numbers": numbers}, {"room": room, "batch": 0, "number": 0}
+    return joined(Tape, parts, counts), batches, numbers
+
+
+PARAMETERS, CARRY, WORK = Parameters.dtype, Carry.dtype, Work.dtype
+TAPE, NOTED_BATCH, NOTED_NUMBER = Tape.dtype, NotedBatch.dtype, NotedNumber.dtype

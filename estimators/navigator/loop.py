@@ -1,4 +1,4 @@
-"""The estimation loop: row by row through a block.
+"""The estimation loop: alignment, then row by row.
 
 Attitude, velocity and place move at every row; the covariance in batches of `BATCH_S`, which end early where a fix or a
 baseline arrives. Time stamps decide: dt is their difference. A row whose stamp repeats or goes back is left out (the
@@ -6,15 +6,16 @@ estimate stays, status COASTING); a gap is bridged by prediction in steps of at 
 """
 
 import math
-from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimators.alignment import MEAN_RATE
+from estimators.alignment import ALIGNMENT, LONGEST_GAP, MEAN_RATE, STILL, STRETCH, conclude, still_limits, take
+from estimators.alignment import begin as begin_stretch
 from estimators.earth import frame_rates
 from estimators.earth import move as moved
 from estimators.elementary import ceil
-from estimators.jit import njit
+from estimators.jit import inner
+from estimators.native import Address, Integer, Kernel, Number, Record, adapts, entry, record
 from estimators.navigator.aids import (
     MAX_FIELD,
     add_field,
@@ -29,6 +30,7 @@ from estimators.navigator.history import correct as correct_past
 from estimators.navigator.layout import (
     ACCEL_BIAS,
     ACCEL_MATRIX,
+    CARRY,
     COUNT,
     FIELD,
     FORCE_VARIANCE,
@@ -42,6 +44,7 @@ from estimators.navigator.layout import (
     IS_STILL,
     JERK,
     MAG_MATRIX,
+    PARAMETERS,
     PHI,
     POS,
     SHAKE,
@@ -56,13 +59,20 @@ from estimators.navigator.layout import (
     T_SECOND,
     VEL,
     WAS_STILL,
-    Batch,
+    WORK,
+    Carry,
     Memory,
     N,
     Nominal,
+    Parameters,
+    Work,
 )
+from estimators.navigator.settings import VALUES
+from estimators.navigator.start import configure, copy, start
 from estimators.navigator.strapdown import Triple, advance, true_force, true_rate
+from estimators.records import ESTIMATE, PLACE, SAMPLE, SHEET, Estimate, Sample, Sheet
 from estimators.rotations import attitude_matrix, nav_vector, normalise, turn_nav, turned
+from estimators.run import screen
 from estimators.turned import is_lost, note_correction, note_force, turned_by
 from estimators.types import MEASUREMENTS, Status
 
@@ -79,54 +89,148 @@ BLIND_PSD = 0.01  # rad2/s while gyro or accelerometer are missing: whatever hap
 _RUNNING, _COASTING, _DIVERGED = int(Status.RUNNING), int(Status.COASTING), int(Status.DIVERGED)
 
 
-class Carry(NamedTuple):
-    """Everything that goes on from row to row."""
+class Instance(Record):
+    """A navigator to the loop: addresses of its parts, and where it is."""
 
-    nominal: Nominal
-    P: np.ndarray  # (N, N)
-    P_restart: np.ndarray  # (N, N), when the filter is lost
-    batch: Batch
-    memory: Memory
-    safe: np.ndarray  # (10 + N,) nominal state when the covariance was last sound
-
-
-@njit
-def run(model: Any, carry: Any, work: Any, rows: Any, out: Any, first: int) -> None:
-    """Rows `first` to the end of samples into estimates."""
-    nominal, P, batch, memory = carry.nominal, carry.P, carry.batch, carry.memory
-    for k in range(first, rows.t.shape[0]):
-        t = rows.t[k]
-        dt = t - memory.clock[T_LAST]
-        if dt <= 0.0:
-            out.status[k] = _COASTING
-            report(model, nominal, P, memory, work, out, k)
-            continue
-        if math.isnan(dt):  # the first row of all
-            memory.clock[T_BATCH] = t
-            dt = 0.0
-        memory.clock[T_LAST] = t
-        read_inertial(t, rows.gyro_b[k], rows.accel_b[k], memory)
-        f_n = predict(model, carry, work, dt, k)
-        remember(model, nominal, memory, true_rate(nominal.c, memory.mean[0]), t)
-        attitude_matrix(nominal.q, work.C)
-        if rows.mag_new[k] and is_field(rows.mag_b[k]):
-            add_field(model, nominal, batch, work.C, rows.mag_b[k])
-        ended = SOUND
-        due = rows.gnss_new[k] or (model.use_heading and rows.heading_new[k])
-        if due or t - memory.clock[T_BATCH] >= BATCH_S - 1e-6:
-            ended = correct(model, carry, work, rows, k, f_n, out)
-            note_end(work.tape, work, P, ended != SOUND, k)
-        aided = t - memory.clock[T_AID] <= AID_TIMEOUT and t - memory.clock[T_MAG] <= MAG_TIMEOUT
-        out.status[k] = _RUNNING if aided and memory.seen[GOOD] == 1.0 and dt <= MAX_STEP else _COASTING
-        if ended == LOST:
-            out.status[k] = _DIVERGED
-            for i in range(MEASUREMENTS):
-                out.innovation[k, i] = out.innovation_var[k, i] = math.nan
-        report(model, nominal, P, memory, work, out, k)
+    parameters: Address
+    carry: Address
+    work: Address
+    stretch: Address
+    alignment: Address
+    settings: Address
+    site: Address
+    sensors: Address
+    align_s: Number  # s
+    wait_s: Number  # s
+    begun: Integer  # 0: aligning
+    begin: Address
 
 
-@njit
-def read_inertial(t: float, gyro: np.ndarray, accel: np.ndarray, memory: Any) -> None:
+INSTANCE = Instance.dtype
+
+
+@entry("p")
+def begin(own: Instance) -> None:
+    """Begin to navigate with what the alignment says."""
+
+
+@adapts(begin)
+def _adapt_begin(owner: None, kernel: Kernel) -> Kernel:
+    def body(pointer):  # type: ignore[no-untyped-def]
+        own = record(pointer, INSTANCE)
+        stretch, site, sensors = record(own.stretch, STRETCH), record(own.site, PLACE), record(own.sensors, SHEET)
+        alignment, model, settings = (
+            record(own.alignment, ALIGNMENT),
+            record(own.parameters, PARAMETERS),
+            record(own.settings, VALUES),
+        )
+        conclude(stretch, stretch.phase == STILL, site, sensors, alignment)
+        configure(settings, site, sensors, model)
+        start(model, settings, site, sensors, alignment, record(own.carry, CARRY), record(own.work, WORK))
+        own.begun = 1
+
+    return body
+
+
+@entry("p")
+def forget(own: Instance) -> None:
+    """Forget everything seen: align anew."""
+
+
+@inner
+def _forget(own: Instance) -> None:
+    begin_stretch(record(own.stretch, STRETCH))
+    own.begun = 0
+
+
+@adapts(forget)
+def _adapt_forget(owner: None, kernel: Kernel) -> Kernel:
+    def body(own):  # type: ignore[no-untyped-def]
+        _forget(record(own, INSTANCE))
+
+    return body
+
+
+@entry("ppip", int)
+def process(own: Instance, rows: np.ndarray, count: int, out: np.ndarray) -> int:  # type: ignore[empty-body]
+    """As `estimators.run.process`."""
+
+
+@adapts(process)
+def _adapt_process(owner: None, kernel: Kernel) -> Kernel:
+    def body(own, rows, count, out):  # type: ignore[no-untyped-def]
+        a = record(own, INSTANCE)
+        last = record(a.carry, CARRY).memory.clock[T_LAST] if a.begun != 0 else record(a.stretch, STRETCH).last_t
+        bad = screen(rows, count, last, record(a.sensors, SHEET), False)
+        if bad < 0:
+            for k in range(count):
+                _estimate(a, record(rows, SAMPLE, k), k, record(out, ESTIMATE, k))
+        return bad
+
+    return body
+
+
+@inner
+def _estimate(own: Instance, row: Sample, k: int, answer: Estimate) -> None:
+    """Estimate row k of a block, or align with it."""
+    stretch, carry = record(own.stretch, STRETCH), record(own.carry, CARRY)
+    if row.t - (carry.memory.clock[T_LAST] if own.begun != 0 else stretch.last_t) > LONGEST_GAP:
+        _forget(own)
+    answer.t = row.t
+    sensors = record(own.sensors, SHEET)
+    if own.begun == 0:
+        gyro, accel = still_limits(sensors)
+        if not take(stretch, row, own.align_s, own.wait_s, gyro, accel, record(own.site, PLACE).gravity):
+            return
+        begin(own)
+    _to_gyro_time(row, sensors)
+    _step(record(own.parameters, PARAMETERS), carry, record(own.work, WORK), row, k, answer)
+
+
+@inner
+def _to_gyro_time(row: Sample, sensors: Sheet) -> None:
+    """Make accelerometer and magnetometer as if they had been read with the gyro; in place."""
+    turn_reading(row.gyro_b, row.accel_b, sensors.accel_delay - sensors.gyro_delay)
+    turn_reading(row.gyro_b, row.mag_b, sensors.mag_delay - sensors.gyro_delay)
+    row.gnss_t += sensors.accel_delay
+    row.heading_t += sensors.gyro_delay
+
+
+@inner
+def _step(model: Parameters, carry: Carry, work: Work, row: Sample, k: int, answer: Estimate) -> None:
+    """Estimate row k of a block."""
+    nominal, memory, t = carry.nominal, carry.memory, row.t
+    dt = t - memory.clock[T_LAST]
+    if dt <= 0.0:
+        answer.status = _COASTING
+        report(model, carry, work, answer)
+        return
+    if math.isnan(dt):  # the first row of all
+        memory.clock[T_BATCH] = t
+        dt = 0.0
+    memory.clock[T_LAST] = t
+    read_inertial(t, row.gyro_b, row.accel_b, memory)
+    f_n = predict(model, carry, work, dt, k)
+    remember(model, nominal, memory, true_rate(nominal.c, memory.mean[0]), t)
+    attitude_matrix(nominal.q, work.C)
+    if row.mag_new and is_field(row.mag_b):
+        add_field(model, nominal, carry.batch, work.C, row.mag_b)
+    ended = SOUND
+    due = row.gnss_new or (model.use_heading and row.heading_new)
+    if due or t - memory.clock[T_BATCH] >= BATCH_S - 1e-6:
+        ended = correct(model, carry, work, row, f_n, answer)
+        note_end(work, carry.P, ended != SOUND, k)
+    aided = t - memory.clock[T_AID] <= AID_TIMEOUT and t - memory.clock[T_MAG] <= MAG_TIMEOUT
+    answer.status = _RUNNING if aided and memory.seen[GOOD] == 1.0 and dt <= MAX_STEP else _COASTING
+    if ended == LOST:
+        answer.status = _DIVERGED
+        for i in range(MEASUREMENTS):
+            answer.innovation[i] = answer.innovation_var[i] = math.nan
+    report(model, carry, work, answer)
+
+
+@inner
+def read_inertial(t: float, gyro: np.ndarray, accel: np.ndarray, memory: Memory) -> None:
     """Mean rate and force of the step that ends with a row: of its two ends; the last good ones where it has none."""
     good = True
     for i in range(3):
@@ -157,8 +261,8 @@ def read_inertial(t: float, gyro: np.ndarray, accel: np.ndarray, memory: Any) ->
     memory.clock[T_GOOD] = t
 
 
-@njit
-def predict(model: Any, carry: Any, work: Any, dt: float, k: int) -> Triple:
+@inner
+def predict(model: Parameters, carry: Carry, work: Work, dt: float, k: int) -> Triple:
     """Move the state to row k; the force there, in navigation axes (m/s2)."""
     nominal, batch, memory = carry.nominal, carry.batch, carry.memory
     good = memory.seen[GOOD] == 1.0
@@ -183,10 +287,10 @@ def predict(model: Any, carry: Any, work: Any, dt: float, k: int) -> Triple:
             batch.total[FORCE_VARIANCE] += force_psd * part
         if steps > 1:
             move(model, nominal.c, carry.P, batch, work)
-            note_motion(work.tape, work, batch.F)
+            note_motion(work, batch)
             for i in range(N):
                 work.dx[i] = 0.0
-            note_end(work.tape, work, carry.P, False, k)
+            note_end(work, carry.P, False, k)
             clear(batch)
     # the rate that the gyro says beyond the Earth's, for standing still
     ie_n, ie_d, _, _, _ = frame_rates(nominal.lla, nominal.v)
@@ -195,15 +299,15 @@ def predict(model: Any, carry: Any, work: Any, dt: float, k: int) -> Triple:
     return f_n
 
 
-@njit
-def watch_second(model: Any, c: np.ndarray, memory: Any) -> None:
+@inner
+def watch_second(model: Parameters, c: np.ndarray, memory: Memory) -> None:
     """Standstill detector: scatter and mean rate of each second."""
     t, second, seen = memory.clock[T_GOOD], memory.second, memory.seen
     if not t - memory.clock[T_SECOND] < 1.0:
         n = seen[COUNT]
         still = n >= 10.0
         for i in range(3):
-            still = still and second[1, i] < n * model.still[0] ** 2 and second[1, 3 + i] < n * model.still[1] ** 2
+            still = still and second[1, i] < n * model.still_rate**2 and second[1, 3 + i] < n * model.still_force**2
             still = still and abs(second[0, i] - c[GYRO_BIAS + i]) < MEAN_RATE
         seen[IS_STILL] = 1.0 if still else 0.0
         memory.clock[T_SECOND], seen[COUNT] = t, 0.0
@@ -216,54 +320,54 @@ def watch_second(model: Any, c: np.ndarray, memory: Any) -> None:
         second[0, i] += off / seen[COUNT]
         second[1, i] += off * (value - second[0, i])
     for i in range(3):  # moved off in mid-second
-        if abs(memory.last[0, i] - c[GYRO_BIAS + i]) > 5.0 * model.still[0]:
+        if abs(memory.last[0, i] - c[GYRO_BIAS + i]) > 5.0 * model.still_rate:
             seen[IS_STILL] = 0.0
     moving = t - memory.clock[T_GNSS] < 1.0 and seen[SPEED] > STILL_SPEED + 3.0 * model.gnss_velocity
     if moving:  # a smooth acceleration scatters as little as standing
         seen[IS_STILL] = 0.0
 
 
-@njit
-def correct(model: Any, carry: Any, work: Any, rows: Any, k: int, f_n: Triple, out: Any) -> int:
+@inner
+def correct(model: Parameters, carry: Carry, work: Work, row: Sample, f_n: Triple, answer: Estimate) -> int:
     """End a batch: the covariance, then whatever has been measured; SOUND, or begun ANEW, or LOST and begun anew."""
     nominal, P, batch, memory, dx = carry.nominal, carry.P, carry.batch, carry.memory, work.dx
-    t, anew = rows.t[k], False
+    t, anew = row.t, False
     move(model, nominal.c, P, batch, work)
-    note_motion(work.tape, work, batch.F)
+    note_motion(work, batch)
     for i in range(N):
         dx[i] = 0.0
     if is_lost(memory.turned, t, math.isnan(memory.clock[T_MAG]), model.gnss_velocity, model.field_off):
         set_heading(model, carry, dx, t)
         anew = True
-    if rows.gnss_new[k]:
-        take_fix(model, nominal, memory, P, work, rows, k, f_n, out)
+    if row.gnss_new:
+        take_fix(model, carry, work, row, f_n, answer)
     if memory.seen[IS_STILL] < memory.seen[WAS_STILL]:
         for i in range(HARD_IRON, HARD_IRON + 3):
             P[i, i] += model.iron_step
     memory.seen[WAS_STILL] = memory.seen[IS_STILL]
-    take_field(model, memory, P, batch, work, t, out, k)
-    if model.use_heading and rows.heading_new[k]:
-        take_baseline(model, nominal, memory, P, work, rows, k, out)
+    take_field(model, carry, work, t, answer)
+    if model.use_heading and row.heading_new:
+        take_baseline(model, carry, work, row, answer)
     if memory.seen[IS_STILL] == 1.0:
-        take_standstill(model, nominal, memory, P, batch, work, t, out, k)
+        take_standstill(model, carry, work, t, answer)
     symmetric(P)
     retract(nominal, dx)
     note_correction(memory.turned, dx[PHI + 2])
-    correct_past(memory.history, t, dx)
+    correct_past(memory.past, t, dx)
     clear(batch)
     memory.clock[T_BATCH] = t
     if healthy(nominal, P):
-        store(nominal, carry.safe)
+        copy(nominal, carry.safe)
         return ANEW if anew else SOUND
-    recover(nominal, carry.safe)
+    copy(carry.safe, nominal)
     for i in range(N):
         for j in range(N):
             P[i, j] = carry.P_restart[i, j]
     return LOST
 
 
-@njit
-def set_heading(model: Any, carry: Any, dx: np.ndarray, t: float) -> None:
+@inner
+def set_heading(model: Parameters, carry: Carry, dx: np.ndarray, t: float) -> None:
     """Turn to the heading that motion shows; what a wrong one has taught is forgotten, but for place and gyro bias."""
     P, c = carry.P, carry.nominal.c
     turn, sigma = turned_by(carry.memory.turned, t, model.gnss_velocity)
@@ -277,8 +381,8 @@ def set_heading(model: Any, carry: Any, dx: np.ndarray, t: float) -> None:
     P[PHI + 2, PHI + 2] = sigma * sigma
 
 
-@njit
-def retract(nominal: Any, dx: np.ndarray) -> None:
+@inner
+def retract(nominal: Nominal, dx: np.ndarray) -> None:
     """Correct the state by the error dx (N,)."""
     q, lla = nominal.q, nominal.lla
     turn_nav((q[0], q[1], q[2], q[3]), dx[PHI], dx[PHI + 1], dx[PHI + 2], q)
@@ -296,41 +400,22 @@ def retract(nominal: Any, dx: np.ndarray) -> None:
                 nominal.c[at + i + j] += dx[at + i + j] + x * dx[at + j] + y * dx[at + 3 + j] + z * dx[at + 6 + j]
 
 
-@njit
-def healthy(nominal: Any, P: np.ndarray) -> bool:
+@inner
+def healthy(nominal: Nominal, P: np.ndarray) -> bool:
     """Tell whether all states are finite and no variance is negative or infinite."""
-    total = 0.0
-    for part in (nominal.q, nominal.v, nominal.lla, nominal.c):
-        for i in range(part.shape[0]):
-            total += part[i] * 0.0  # NaN when any is infinite or NaN
-    positive = True
+    total, positive = nominal.q[3] * 0.0, True  # NaN when any is infinite or NaN
+    for i in range(3):
+        total += nominal.q[i] * 0.0 + nominal.v[i] * 0.0 + nominal.lla[i] * 0.0
     for i in range(N):
-        total += P[i, i] * 0.0
+        total += nominal.c[i] * 0.0 + P[i, i] * 0.0
         positive &= P[i, i] >= 0.0
     return positive and total == 0.0
 
 
-@njit
-def store(nominal: Any, safe: np.ndarray) -> None:
-    """`safe` = the state."""
-    safe[0:4] = nominal.q
-    safe[4:7] = nominal.v
-    safe[7:10] = nominal.lla
-    safe[10:] = nominal.c
-
-
-@njit
-def recover(nominal: Any, safe: np.ndarray) -> None:
-    """The state = `safe`."""
-    nominal.q[:] = safe[0:4]
-    nominal.v[:] = safe[4:7]
-    nominal.lla[:] = safe[7:10]
-    nominal.c[:] = safe[10:]
-
-
-@njit
-def report(model: Any, nominal: Any, P: np.ndarray, memory: Any, work: Any, out: Any, k: int) -> None:
-    """Row k of estimates from the state, turned and moved on to the time of the stamp."""
+@inner
+def report(model: Parameters, carry: Carry, work: Work, answer: Estimate) -> None:
+    """Set the estimate to the state, turned and moved on to the time of the stamp."""
+    nominal, P, memory = carry.nominal, carry.P, carry.memory
     c, C, q, ahead = nominal.c, work.C, (nominal.q[0], nominal.q[1], nominal.q[2], nominal.q[3]), model.accel_delay
     v_n, lla, a_n = nominal.v, nominal.lla, (0.0, 0.0, 0.0)
     if not math.isnan(memory.last[0, 0]):
@@ -339,46 +424,45 @@ def report(model: Any, nominal: Any, P: np.ndarray, memory: Any, work: Any, out:
         a_n = (f_n[0], f_n[1], f_n[2] + model.gravity)
         w = true_rate(c, memory.last[0])
         q = turned(q, model.gyro_delay * w[0], model.gyro_delay * w[1], model.gyro_delay * w[2])
-    moved(lla, ahead * v_n[0], ahead * v_n[1], ahead * v_n[2], out.lla[k])
+    moved(lla, ahead * v_n[0], ahead * v_n[1], ahead * v_n[2], answer.lla)
     for i in range(4):
-        out.q_nb[k, i] = q[i]
-    attitude_matrix(out.q_nb[k], C)
+        answer.q_nb[i] = q[i]
+    attitude_matrix(answer.q_nb, C)
     for i in range(3):
-        out.down_b[k, i] = C[i, 2]
+        answer.down_b[i] = C[i, 2]
         for j in range(i + 1):
             total = 0.0
             for a in range(3):
                 for b in range(3):
                     total += C[i, a] * P[PHI + a, PHI + b] * C[j, b]
-            out.att_cov[k, i, j] = out.att_cov[k, j, i] = total
+            answer.att_cov[i, j] = answer.att_cov[j, i] = total
         bias, variance = 0.0, 0.0
         for a in (GYRO_BIAS + i, GYRO_FAST + i, GYRO_SLOW + i):
             bias += c[a]
             for b in (GYRO_BIAS + i, GYRO_FAST + i, GYRO_SLOW + i):
                 variance += P[a, b]
-        out.gyro_bias[k, i], out.gyro_bias_sigma[k, i] = bias, math.sqrt(max(variance, 0.0))
-        out.accel_bias[k, i] = c[ACCEL_BIAS + i]
-        out.accel_bias_sigma[k, i] = math.sqrt(max(P[ACCEL_BIAS + i, ACCEL_BIAS + i], 0.0))
-        out.vel_n[k, i] = v_n[i] + ahead * a_n[i]
+        answer.gyro_bias[i], answer.gyro_bias_sigma[i] = bias, math.sqrt(max(variance, 0.0))
+        answer.accel_bias[i] = c[ACCEL_BIAS + i]
+        answer.accel_bias_sigma[i] = math.sqrt(max(P[ACCEL_BIAS + i, ACCEL_BIAS + i], 0.0))
+        answer.vel_n[i] = v_n[i] + ahead * a_n[i]
         for j in range(3):
-            out.vel_cov[k, i, j], out.pos_cov[k, i, j] = P[VEL + i, VEL + j], P[POS + i, POS + j]
-    out.adaptation[k, 0] = memory.seen[IS_STILL]
-    out.adaptation[k, 1] = memory.seen[SURPRISE]
-    out.adaptation[k, 2] = memory.turned.refused
+            answer.vel_cov[i, j], answer.pos_cov[i, j] = P[VEL + i, VEL + j], P[POS + i, POS + j]
+    answer.adaptation[0] = memory.seen[IS_STILL]
+    answer.adaptation[1] = memory.seen[SURPRISE]
+    answer.adaptation[2] = memory.turned.refused
 
 
-@njit
+@inner
 def is_field(field_b: np.ndarray) -> bool:
     """Tell whether a reading (T) can be a field; zero on all axes is a dead sensor."""
     size = abs(field_b[0]) + abs(field_b[1]) + abs(field_b[2])
     return bool(0.0 < size < 3.0 * MAX_FIELD)
 
 
-@njit
-def turn_readings(gyro_b: np.ndarray, vector_b: np.ndarray, tau: float) -> None:
-    """Turn the readings (n, 3) of a sensor that saw tau (s) earlier than the gyro to the axes of then; in place."""
-    for k in range(vector_b.shape[0]):
-        w, v = gyro_b[k], vector_b[k]
-        if abs(w[0]) + abs(w[1]) + abs(w[2]) < FASTEST:
-            x, y, z = nav_vector(turned((1.0, 0.0, 0.0, 0.0), -tau * w[0], -tau * w[1], -tau * w[2]), v[0], v[1], v[2])
-            v[0], v[1], v[2] = x, y, z
+@inner
+def turn_reading(gyro_b: np.ndarray, v: np.ndarray, tau: float) -> None:
+    """Turn the reading v (3,) of a sensor that saw tau (s) earlier than the gyro to the axes of then; in place."""
+    w = gyro_b
+    if tau != 0.0 and abs(w[0]) + abs(w[1]) + abs(w[2]) < FASTEST:
+        x, y, z = nav_vector(turned((1.0, 0.0, 0.0, 0.0), -tau * w[0], -tau * w[1], -tau * w[2]), v[0], v[1], v[2])
+        v[0], v[1], v[2] = x, y, z

@@ -1,5 +1,6 @@
 """Settings of the navigator."""
 
+from estimators.records import settings_type
 from estimators.settings import Setting
 from estimators.turned import FIELD_OFF
 
@@ -28,3 +29,4 @@ SETTINGS = {
     "field_off": FIELD_OFF,
     "surprise": Setting(16.0, "innovation squared over its variance beyond which a measurement counts less", above=1.0),
 }
+VALUES = settings_type(SETTINGS)

@@ -22,6 +22,7 @@ import numpy as np
 from estimators.alignment import pieces
 from estimators.earth import move as moved
 from estimators.jit import njit
+from estimators.native import argument, record
 from estimators.navigator.layout import (
     ACCEL_BIAS,
     COUPLED,
@@ -29,13 +30,16 @@ from estimators.navigator.layout import (
     GYRO_FAST,
     GYRO_SLOW,
     MOVING,
+    NOTED_BATCH,
+    NOTED_NUMBER,
     PHI,
     POS,
     SMOOTHED,
     VEL,
     N,
+    NotedNumber,
     Tape,
-    Work,
+    tape,
 )
 from estimators.navigator.loop import MAX_STEP, MAX_STEPS
 from estimators.navigator.navigator import Navigator
@@ -63,24 +67,25 @@ class Smoothed(NamedTuple):
 
 
 @njit
-def backwards(tape: Any, behind: Any, out: Any, scratch: np.ndarray) -> None:
+def backwards(tape: Tape, behind: Any, out: Any, scratch: np.ndarray) -> None:
     """Smooth all batches of a tape, from its last to its first."""
     lam, L = behind.lam, behind.L
-    end = tape.used[1]
-    for step in range(tape.used[0]):
-        b = tape.used[0] - 1 - step
-        if tape.lost[b]:  # what comes later knows nothing of before
+    end = tape.number
+    for step in range(tape.batch):
+        b = tape.batch - 1 - step
+        batch = record(tape.batches, NOTED_BATCH, b)
+        if batch.lost != 0:  # what comes later knows nothing of before
             for i in range(N):
                 lam[i] = 0.0
                 for j in range(N):
                     L[i, j] = 0.0
-        conclude_batch(tape.P[b], lam, L, out.delta[b], out.cov[b], out.bias_var[b], scratch)
+        conclude_batch(batch.P, lam, L, out.delta[b], out.cov[b], out.bias_var[b], scratch)
         for i in range(SMOOTHED):
-            out.before[b, i] = out.delta[b, i] + tape.dx[b, i]
-        for number in range(end - 1, tape.first[b] - 1, -1):
-            over_number(lam, L, tape.slope[number], tape.gain[number], tape.innovation[number], scratch[0])
-        end = tape.first[b]
-        over_motion(lam, L, tape.F[b], tape.keep[b], scratch)
+            out.before[b, i] = out.delta[b, i] + batch.dx[i]
+        for number in range(end - 1, batch.first - 1, -1):
+            over_number(lam, L, record(tape.numbers, NOTED_NUMBER, number), scratch[0])
+        end = batch.first
+        over_motion(lam, L, batch.F, batch.keep, scratch)
 
 
 @njit
@@ -128,11 +133,10 @@ def conclude_batch(
 
 
 @njit
-def over_number(
-    lam: np.ndarray, L: np.ndarray, slope: np.ndarray, gain: np.ndarray, innovation: np.ndarray, u: np.ndarray
-) -> None:
-    """Back over a number: its slope, gain times variance, innovation and variance."""
-    inverse = 1.0 / innovation[1]
+def over_number(lam: np.ndarray, L: np.ndarray, number: NotedNumber, u: np.ndarray) -> None:
+    """Back over a number."""
+    slope, gain = number.slope, number.gain
+    inverse = 1.0 / number.variance
     along, square = 0.0, 0.0
     for i in range(N):
         total, line = 0.0, L[i]
@@ -141,7 +145,7 @@ def over_number(
         u[i] = total * inverse
         along += gain[i] * lam[i]
         square += gain[i] * u[i]
-    share = (along + innovation[0]) * inverse
+    share = (along + number.innovation) * inverse
     square = (square + 1.0) * inverse
     for i in range(N):
         if slope[i] != 0.0:
@@ -262,9 +266,10 @@ def _smooth(navigator: Navigator, samples: Samples) -> Estimates:
     estimates, smoothed = [], []
     for k in range(len(states) - 2, -1, -1):
         navigator.restore(states[k])
-        work = Work.make(_batches(samples.t[k * CHUNK : (k + 1) * CHUNK]))
-        estimates.append(navigator.process(samples[k * CHUNK : (k + 1) * CHUNK], work))
-        smoothed.append(_backwards(work.tape, behind, k * CHUNK))
+        chunk = samples[k * CHUNK : (k + 1) * CHUNK]
+        memory = tape(_batches(chunk.t))
+        estimates.append(navigator.process(chunk, memory[0]))
+        smoothed.append(_backwards(memory[0], memory[1]["row"], behind, k * CHUNK))
     navigator.restore(states[-1])
     if not estimates:
         return navigator.process(samples)
@@ -288,14 +293,14 @@ def _batches(t: np.ndarray) -> int:
     return len(t) + MAX_STEPS * (1 + int(np.count_nonzero(np.diff(t) > MAX_STEP)))
 
 
-def _backwards(tape: Tape, behind: Behind, first: int) -> Smoothed:
-    count = int(tape.used[0])
+def _backwards(noted: Any, row: np.ndarray, behind: Behind, first: int) -> Smoothed:
+    count = int(noted.batch)
     out = Smoothed(
-        first + tape.row[:count],
+        first + row[:count],
         np.zeros((count, SMOOTHED)),
         np.zeros((count, SMOOTHED)),
         np.zeros((count, 3, 3, 3)),
         np.zeros((count, 6)),
     )
-    backwards(tape, behind, out, np.zeros((N, N)))
+    backwards(argument(noted), behind, out, np.zeros((N, N)))
     return out

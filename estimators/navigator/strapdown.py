@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from estimators.earth import GRAVITY_GRADIENT, frame_rates, move
-from estimators.jit import njit
+from estimators.jit import inner
+from estimators.native import local
 from estimators.navigator.layout import (
     ACCEL_BIAS,
     ACCEL_MATRIX,
@@ -22,13 +23,16 @@ from estimators.navigator.layout import (
     POS,
     SECONDS,
     VEL,
+    Batch,
+    Nominal,
+    Parameters,
 )
 from estimators.rotations import attitude_matrix, nav_vector, turn_nav, turned
 
 Triple = Any  # a tuple of three: it stays in registers
 
 
-@njit
+@inner
 def calibrated(c: np.ndarray, matrix: int, x: float, y: float, z: float) -> Triple:
     """`(I + M)^-1 (x, y, z)` of the matrix at an offset, to third order in M."""
     u, v, w = x, y, z
@@ -41,7 +45,7 @@ def calibrated(c: np.ndarray, matrix: int, x: float, y: float, z: float) -> Trip
     return u, v, w
 
 
-@njit
+@inner
 def true_rate(c: np.ndarray, gyro: np.ndarray) -> Triple:
     """Angular rate (rad/s) of a gyro reading."""
     x = gyro[0] - c[GYRO_BIAS] - c[GYRO_FAST] - c[GYRO_SLOW]
@@ -50,15 +54,17 @@ def true_rate(c: np.ndarray, gyro: np.ndarray) -> Triple:
     return calibrated(c, GYRO_MATRIX, x, y, z)
 
 
-@njit
+@inner
 def true_force(c: np.ndarray, accel: np.ndarray) -> Triple:
     """Specific force (m/s2) of an accelerometer reading."""
     x, y, z = accel[0] - c[ACCEL_BIAS], accel[1] - c[ACCEL_BIAS + 1], accel[2] - c[ACCEL_BIAS + 2]
     return calibrated(c, ACCEL_MATRIX, x, y, z)
 
 
-@njit
-def advance(model: Any, nominal: Any, batch: Any, C: np.ndarray, w: Triple, f: Triple, dt: float) -> Triple:
+@inner
+def advance(
+    model: Parameters, nominal: Nominal, batch: Batch, C: np.ndarray, w: Triple, f: Triple, dt: float
+) -> Triple:
     """Move the state by dt with rate w and force f, and the batch's transition; the force in navigation axes."""
     q, v, lla = nominal.q, nominal.v, nominal.lla
     north, east, down = v[0], v[1], v[2]
@@ -74,13 +80,16 @@ def advance(model: Any, nominal: Any, batch: Any, C: np.ndarray, w: Triple, f: T
     v[2] = down + (f_n[2] + gravity - (wn * east - we * north)) * dt
     here = (lla[0], lla[1], lla[2])
     move(here, 0.5 * (north + v[0]) * dt, 0.5 * (east + v[1]) * dt, 0.5 * (down + v[2]) * dt, lla)
-    attitude_matrix(np.array(half), C)
+    between = local(4)
+    for i in range(4):
+        between[i] = half[i]
+    attitude_matrix(between, C)
     transition(batch.F, C, nominal.c, w, f, f_n, dt)
     batch.total[SECONDS] += dt
     return f_n
 
 
-@njit
+@inner
 def transition(F: np.ndarray, C: np.ndarray, c: np.ndarray, w: Triple, f: Triple, f_n: Triple, dt: float) -> None:
     """`F` = transition of dt times F; C = C_bn(half-way)."""
     for k in range(COUPLED):

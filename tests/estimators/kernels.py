@@ -96,6 +96,7 @@ class Kernels:
 
 def of(estimator):
     """The kernels of an estimator that has begun."""
-    model = estimator._bind()
+    estimator._bind()
+    model = estimator._model
     known = estimator.settings, estimator.site, estimator.sensors
     return Kernels(estimator._module, *known, model.parameters, model.memory)

@@ -2,12 +2,14 @@
 
 import dataclasses
 
+import numba
 import numpy as np
 import pytest
 from synthetic import SITE, coordinated_turn, error_deg, matrix_bn
 
 from estimators import Estimates, SampleError, Samples, SensorInfo, Status, create, jit, native
-from estimators.navigator import covariance, loop
+from estimators.native import argument
+from estimators.navigator import covariance
 from estimators.navigator.layout import (
     ACCEL_MATRIX,
     COUPLED,
@@ -19,9 +21,8 @@ from estimators.navigator.layout import (
     SMOOTHED,
     N,
     Work,
+    tape,
 )
-from estimators.navigator.navigator import parameters, start
-from estimators.navigator.settings import SETTINGS
 from estimators.navigator.smoother import Behind, Smoothed, backwards, smooth
 
 SENSORS = SensorInfo(
@@ -29,7 +30,6 @@ SENSORS = SensorInfo(
     accel_instability=1e-4, gyro_scale_factor=0.01, gyro_misalignment=5e-3, accel_scale_factor=5e-3,
     accel_misalignment=5e-3, mag_scale_factor=5e-3, mag_misalignment=5e-3, soft_iron=5e-3, mag_bias=5e-7,
 )  # fmt: skip
-DEFAULTS = {name: setting.default for name, setting in SETTINGS.items()}
 
 
 def turning(seed=3, late=0.0, turn_s=60.0):
@@ -162,41 +162,63 @@ def test_a_column_of_a_wrong_shape_is_an_error():
         navigator().process(dataclasses.replace(samples, vel_n=samples.vel_n[:-1]))
 
 
+def _batch(model, c, P, batch, work):
+    """A batch of the filter: `batch` holds its motion, `work` three numbers."""
+    covariance.move(model, c, P, batch, work)
+    covariance.note_motion(work, batch)
+    for i in range(N):
+        work.dx[i] = 0.0
+    for row in range(3):
+        covariance.absorb(P, work, row)
+    covariance.symmetric(P)
+    covariance.note_end(work, P, False, 0)
+
+
+def _move(model, c, P, batch, work):
+    covariance.move(model, c, P, batch, work)
+
+
+def compiled(kernel):
+    """A function of kernels that can be called from here."""
+    return numba.njit(kernel)
+
+
 def test_smoother_of_a_linear_model_is_that_of_rauch_tung_and_striebel():
     """Random transitions and measurements through the filter's own kernels; dense matrices and inverses beside them."""
     rng = np.random.default_rng(5)
-    model, batches = parameters(DEFAULTS, SITE, SENSORS), 7
-    work = Work.make(batches)
+    batches, noted = 7, tape(7)
+    estimator = navigator()
+    estimator._bind()
+    estimator._start(*estimator._own)
+    work, model, batch = Work.make(noted[0]), estimator._parts["parameters"], estimator._carry.batch
+    work.keep[:] = 1.0
+    run, move = compiled(_batch), compiled(_move)
     root = rng.standard_normal((N, N)) * 0.1
     P = root @ root.T + np.diag(rng.uniform(0.1, 1.0, N))
-    batch = start(model, DEFAULTS, SITE, SENSORS, standing()).batch
     prior, posterior, moves, corrections = [], [], [], []
     for _ in range(batches):
-        covariance.clear(batch)
-        batch.F[:] += 0.1 * rng.standard_normal((MOVING, COUPLED))
+        batch.F[:] = np.eye(MOVING, COUPLED) + 0.1 * rng.standard_normal((MOVING, COUPLED))
         batch.total[:3] = 0.01, 0.02, 3.0
-        covariance.move(model, np.zeros(N), P, batch, work)
-        covariance.note_motion(work.tape, work, batch.F)
-        Phi = np.diag(work.keep)
-        Phi[:MOVING] = 0.0
-        Phi[:MOVING, :COUPLED] = batch.F
-        moves.append(Phi)
-        prior.append(P.copy())
-        work.dx[:] = 0.0
         for row in range(3):
             work.terms[row] = 4
             work.at[row, :4] = rng.choice(N, 4, replace=False)
             work.by[row, :4] = rng.standard_normal(4)
             work.residual[row], work.variance[row] = rng.standard_normal(), 0.3
-            covariance.absorb(P, work, row)
-        covariance.symmetric(P)
-        covariance.note_end(work.tape, work, P, False, 0)
+        before = P.copy()
+        given = [argument(one) for one in (model, batch, work)]
+        move(given[0], np.zeros(N), before, *given[1:])
+        prior.append(before)
+        run(given[0], np.zeros(N), P, *given[1:])
+        Phi = np.diag(work.keep)
+        Phi[:MOVING] = 0.0
+        Phi[:MOVING, :COUPLED] = batch.F
+        moves.append(Phi)
         posterior.append(P.copy())
         corrections.append(work.dx.copy())
     out = Smoothed(
-        work.tape.row, *(np.zeros((batches, *shape)) for shape in ((SMOOTHED,), (SMOOTHED,), (3, 3, 3), (6,)))
+        noted[1]["row"], *(np.zeros((batches, *shape)) for shape in ((SMOOTHED,), (SMOOTHED,), (3, 3, 3), (6,)))
     )
-    backwards(work.tape, Behind(np.zeros(N), np.zeros((N, N))), out, np.zeros((N, N)))
+    backwards(argument(noted[0]), Behind(np.zeros(N), np.zeros((N, N))), out, np.zeros((N, N)))
     delta, smoothed = np.zeros(N), posterior[-1]
     for k in range(batches - 1, -1, -1):
         if k < batches - 1:
@@ -208,13 +230,6 @@ def test_smoother_of_a_linear_model_is_that_of_rauch_tung_and_striebel():
             of = slice(3 * kind, 3 * kind + 3)
             np.testing.assert_allclose(out.cov[k, kind], smoothed[of, of], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(out.bias_var[k, 3:], np.diag(smoothed)[18:21], rtol=1e-9)
-
-
-def standing():
-    """An alignment."""
-    from estimators.alignment import Stretch, concluded
-
-    return concluded(Stretch.make(), False, SITE, SENSORS)
 
 
 def test_smoothed_is_nearer_and_surer_than_filtered():
@@ -268,12 +283,14 @@ def test_prepare_compiles_what_process_needs_and_announces_it(monkeypatch, tmp_p
     monkeypatch.setattr(native, "listeners", [lambda: called.append(None)])
     estimator = create("ins-cal", site=SITE, sensors=SENSORS, align_s=3.0)
     estimator.prepare()
-    announced, known = len(called), list(loop.run.signatures)
-    assert len(known) <= 1  # none where nothing is compiled
+    announced = len(called)
     samples, _, _ = turning(turn_s=1.0)
     fresh = create("ins-cal", site=SITE, sensors=SENSORS, align_s=3.0).process(samples)
     np.testing.assert_array_equal(estimator.process(samples).q_nb, fresh.q_nb)
-    assert (len(called), list(loop.run.signatures)) == (announced, known), "nothing is left to compile"
-    assert jit.on_disk(loop.run)
-    monkeypatch.setattr(jit, "FOLDER", tmp_path)
-    assert not jit.on_disk(loop.run)
+    assert len(called) == announced, "nothing is left to compile"
+    with monkeypatch.context() as patch:
+        patch.setattr(native, "FOLDER", tmp_path)
+        patch.setattr(native, "_LOADED", {})
+        with native.planning() as listed:
+            create("ins-cal").assemble()
+    assert {path.name.split(".")[1] for path in listed} == {"process", "forget", "begin"}

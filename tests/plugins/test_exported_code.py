@@ -27,9 +27,9 @@ from estimators.emit import Emitted, emit
 
 SENSORS = SensorInfo(gyro_delay=0.005, accel_delay=0.008, mag_delay=0.02, antenna_b=(0.5, 0.1, -1.0), gnss_pos=2.0)
 RUN_ELSEWHERE = ["marg-ekf", "marg-ckf", "sekf", "ins21"]
-EXPORTED = [m.name for m in estimators.describe() if m.own and m.name != "ins-cal"]
+EXPORTED = [m.name for m in estimators.describe() if m.own]
 # Every model, every filter's engine and every policy of the catalogue; the others differ from these in numbers.
-KINDS = ("marg-ekf", "marg-iekf", "marg-ckf", "marg-srukf", "fakf", "sekf", "ins9-ukf", "ins21")
+KINDS = ("marg-ekf", "marg-iekf", "marg-ckf", "marg-srukf", "fakf", "sekf", "ins9-ukf", "ins21", "ins-cal")
 
 
 def _benchmark() -> ModuleType:
@@ -209,7 +209,6 @@ def test_the_square_root_is_that_of_the_processor(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["ins-cal"], "ins-cal cannot be exported as code: its loop is not one of a filter on a model"),
         (["vqf"], "vqf comes from another package"),
         (["marg-efk"], "no estimator 'marg-efk'; did you mean 'marg-ekf'?"),
         (["marg-ekf", "--suite", "chx"], "has no such suite; did you mean 'chr'?"),
