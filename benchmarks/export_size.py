@@ -160,7 +160,7 @@ def measured(method: str, target: str, made: Emitted, sensors: SensorInfo) -> st
 def main() -> None:
     """Print the table."""
     single = "--float32" in sys.argv
-    methods = [a for a in sys.argv[1:] if a != "--float32"] or ["marg-ekf", "marg-ckf", "sekf", "ins21"]
+    methods = [a for a in sys.argv[1:] if a != "--float32"] or ["marg-ekf", "marg-ckf", "sekf", "ins21", "ins-cal"]
     sensors, (exercise, place) = export.suite_info("chr", "circuit"), swinging()
     columns = "method | target | code, kB | memory, kB | stack, kB | 1000 instructions a row | 1000 operations a row"
     print(f"| {columns} |\n|{'---|' * 7}")
