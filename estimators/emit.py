@@ -283,7 +283,7 @@ def _optimised(kernels: Mapping[str, tuple[str, str]], target: Target) -> tuple[
 
 
 _FOREIGN = re.compile(
-    rf"(?!llvm\.|{PREFIX}|memset$)|llvm\.(sqrt|pow|exp|log|sin|cos|tan|floor|ceil|trunc|rint|round|fma)"
+    rf"(?!llvm\.|{PREFIX}|mem(?:set|cpy)$)|llvm\.(sqrt|pow|exp|log|sin|cos|tan|floor|ceil|trunc|rint|round|fma)"
 )
 """Functions that code must not call: of a C library, or intrinsic ones that some machines have from there."""
 

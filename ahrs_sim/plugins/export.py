@@ -178,9 +178,9 @@ def _piece(name: str) -> str:
     return (_TEMPLATES / name).read_text(encoding="utf-8")
 
 
-_DOUBLE = """Double precision. The kernels need `memset` and, where the processor has no instruction for it, `sqrt` and
-  arithmetic of doubles from the compiler's run time. Sines, arc tangents and exponentials are their own, the same that
-  ahrs_sim uses in Python: with IEEE 754 doubles, not contracted, estimates are equal to the last bit."""
+_DOUBLE = """Double precision. The kernels need `memset`, `memcpy` and, where the processor has no instruction for it,
+  `sqrt` and arithmetic of doubles from the compiler's run time. Sines, arc tangents and exponentials are their own, the
+  same that ahrs_sim uses in Python: with IEEE 754 doubles, not contracted, estimates are equal to the last bit."""
 _SINGLE = """Single precision: every number of the kernels is a float, in memory laid out for doubles. Samples and
   estimates are converted, and times count from the first sample (a float's step is 0.06 ms after ten minutes, 0.24 ms
   after an hour). Estimates differ from those of ahrs_sim in Python: fly this library beside the method

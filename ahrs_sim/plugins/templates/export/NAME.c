@@ -1,7 +1,7 @@
 /*
  * @METHOD@ of ahrs_sim @VERSION@ behind ahrs_estimator.h, for @TARGET@. Generated; kernels in @NAME@_kernels.o.
  *
- * One estimator, in static memory: no heap, and of the C library memset and sqrt alone. Settings are fixed:
+ * One estimator, in static memory: no heap, and of the C library memset, memcpy and sqrt alone. Settings are fixed:
 @SETTINGS@
  */
 #include "ahrs_estimator.h"
