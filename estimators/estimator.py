@@ -269,9 +269,9 @@ class FilterEstimator(Compiled):
         """The filter's arrays `x` (raw,), `P` and `P_restart` (n, n) as it keeps them, the model's records, ..."""
         model, carry = cast("Bound", self._model), self._carry
         n = model.size
-        kept = {name: carry.data[name] for name in _KEPT} | {"x": carry.x[: model.raw]}
+        kept = {"parameters": model.parameters.data, "memory": model.memory.data, "x": carry.x[: model.raw]}
         kept |= {name: carry.data[name][:n, :n] for name in ("P", "P_restart")}
-        return kept | {"parameters": model.parameters.data, "memory": model.memory.data}
+        return kept | {name: carry.data[name] for name in _KEPT}
 
     def check(self, made: Mapping[str, np.ndarray]) -> None:
         """Compare the integers of a state's parameters, sizes of arrays among them, with those of the settings."""
