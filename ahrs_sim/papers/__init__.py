@@ -76,18 +76,28 @@ class Reproduction:
                     claim[key] = "failed"
         return content
 
-    def text(self) -> str:
-        """Format a table with the conditions above and the reasons below it."""
-        reasons: list[str] = []
-        rows = [("", "paper", "ours", "unit", "runs", "outcome")]
+    def _rows(self) -> tuple[list[tuple[str, ...]], list[str]]:
+        """Lay out the table, its head first, and the reasons that its last column numbers."""
+        reasons = list(dict.fromkeys(claim.reason for claim in self.claims if claim.reason))
+        rows: list[tuple[str, ...]] = [("", "paper", "ours", "unit", "runs", "outcome")]
         for claim in self.claims:
-            mark = ""
-            if claim.reason:
-                if claim.reason not in reasons:
-                    reasons.append(claim.reason)
-                mark = f" [{reasons.index(claim.reason) + 1}]"
+            mark = f" [{reasons.index(claim.reason) + 1}]" if claim.reason else ""
             figures = (_figure(claim.paper), _figure(claim.ours), claim.unit)
             rows.append((claim.what, *figures, str(claim.runs), f"{claim.outcome}{mark}"))
+        return rows, reasons
+
+    def markdown(self) -> str:
+        """Format a section of a page: conditions, table, reasons."""
+        (head, *rows), reasons = self._rows()
+        lines = [f"## {self.name}", "", f"{self.title}. {self.source}.", "", self.conditions, ""]
+        lines += [f"| {' | '.join(head)} |", "|---|--:|--:|---|--:|---|"]
+        for what, *cells in rows:
+            lines.append(f"| {' | '.join([what.replace('  ', '&emsp;', 1), *cells])} |")
+        return "\n".join([*lines, "", *(f"{number}. {reason}" for number, reason in enumerate(reasons, 1))]).rstrip()
+
+    def text(self) -> str:
+        """Format a table with the conditions above and the reasons below it."""
+        rows, reasons = self._rows()
         widths = [max(len(row[i]) for row in rows) for i in range(6)]
         lines = [f"{self.name}: {self.title}", *_wrapped(self.source), *_wrapped(self.conditions), ""]
         for what, paper, ours, unit, runs, outcome in rows:
@@ -164,7 +174,7 @@ def run_all(chosen: Sequence[str], quick: bool = False, workers: int = 2) -> Ite
 def markdown(results: Sequence[Reproduction], page: str = "") -> str:
     """Write the page `docs/papers.md`: sections of the results, and of the other papers those of `page`, as it was."""
     sections = {head[1]: head[0].rstrip() for head in re.findall(r"(^## (\w+)\n.*?)(?=^## |\Z)", page, re.M | re.S)}
-    sections |= {r.name: f"## {r.name}\n\n```text\n{r.text()}\n```" for r in results}
+    sections |= {result.name: result.markdown() for result in results}
     head = (
         "# The papers, reproduced\n\n"
         "Made by `ahrs-sim papers --markdown docs/papers.md`; do not edit. What each paper claims, what comes out here "

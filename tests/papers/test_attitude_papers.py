@@ -60,10 +60,10 @@ def test_the_page_and_the_command(monkeypatch, capsys, tmp_path):
     assert "fuzzy: title" in capsys.readouterr().out
     assert page.read_text().startswith("# The papers, reproduced") and page.read_text().count("\n## ") == 1
     kept = "\n\n## emitter\n\n```text\nas it was\n```\n"
-    page.write_text(page.read_text().replace("fuzzy: title", "before").rstrip() + kept)
+    page.write_text(page.read_text().replace("title. source.", "before").rstrip() + kept)
     assert cli.main(["papers", "fuzzy", "--markdown", str(page)]) == 0
     assert page.read_text().endswith(kept) and page.read_text().count("\n## ") == 2
-    assert "fuzzy: title" in page.read_text() and "before" not in page.read_text()
+    assert "title. source." in page.read_text() and "before" not in page.read_text()
     capsys.readouterr()
     assert cli.main(["papers", "fuzzy", "--quick", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)[0]["claims"][0]["outcome"] == "reproduced"

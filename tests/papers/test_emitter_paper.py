@@ -160,3 +160,6 @@ def test_rendering():
     assert any("failed" in line and "not reproduced [1]" in line for line in lines)
     assert any("0.123" in line and "beyond the paper [1]" in line for line in lines)
     assert result.as_json()["claims"][0]["ours"] == "failed"
+    lines = result.markdown().splitlines()
+    assert lines[0] == "## x" and lines[-1] == "1. because"
+    assert "| a | 1 | failed | s | 3 | not reproduced [1] |" in lines
