@@ -226,7 +226,7 @@ def _turn_is_bias(s: Stretch) -> bool:
     f0, f1, f2 = m.mean[6], m.mean[7], m.mean[8]
     across = math.sqrt((w1 * f2 - w2 * f1) ** 2 + (w2 * f0 - w0 * f2) ** 2 + (w0 * f1 - w1 * f0) ** 2)  # in a second
     change = math.sqrt((f0 - b[0]) ** 2 + (f1 - b[1]) ** 2 + (f2 - b[2]) ** 2)  # NaN: nothing before, and none is known
-    seen = across > 0.03 * math.sqrt(f0**2 + f1**2 + f2**2)
+    seen = across > 0.01 * math.sqrt(f0**2 + f1**2 + f2**2)
     bias: bool = seen and change < 0.2 * across and w0**2 + w1**2 + w2**2 < GREATEST_BIAS**2
     return bias
 
