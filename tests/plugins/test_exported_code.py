@@ -139,7 +139,7 @@ def bytes_of(made: Any) -> bytes:
 
 @pytest.mark.long
 @pytest.mark.skipif(not bench.available("ziglang") or shutil.which("node") is None, reason="no ziglang, or no Node")
-@pytest.mark.parametrize("method", RUN_ELSEWHERE)
+@pytest.mark.parametrize("method", [*RUN_ELSEWHERE, "ins-cal"])
 def test_webassembly_gives_the_bytes_of_python(
     tmp_path: Path, minute: Recorded, emitted: Callable[[str], dict[str, Emitted]], method: str
 ) -> None:

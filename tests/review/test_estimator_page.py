@@ -84,9 +84,7 @@ def test_tables_have_the_figures_of_the_command_line(
     folder = tmp_path / "tables"
     topics = ["/chr/imu/data_raw", "/chr/imu/mag", "/chr/gps/fix", "/chr/gps/vel", "/chr/air/data", "/truth/odometry"]
     files = export(flown, "csv", folder, topics)
-    for file in files:  # the first stamp is a little before 0, which a clock cannot have
-        table = pd.read_csv(file)
-        table.assign(t=table["t"] + 1.0).to_csv(file, index=False)
+    assert pd.read_csv(files[0])["t"][0] < 0.0  # a sensor's clock is not that of the flight: both count from there
     found = dropped(page, *files)
     assert found["notes"][-1] == "its time is no date: magnetic field of 2027.5"
     (folder / "map.toml").write_text(MAP)
