@@ -106,8 +106,7 @@ def calibrate(recorded: Recorded, source: str, until: float = math.inf) -> Calib
     found = navigator.state()["filter"]
     if found is None:
         raise InputError(f"{source}: {recorded.method} has not aligned in it; take a longer part")
-    c = found["nominal.c"] if "nominal.c" in found else np.asarray(found["nominal"]["c"])
-    P = found["P"]
+    c, P = np.asarray(found["nominal"]["c"]), found["P"]
     gyro_bias = [GYRO_BIAS, GYRO_FAST, GYRO_SLOW]
     correction = Correction(
         gyro=_triad(c, P, GYRO_MATRIX, gyro_bias),
