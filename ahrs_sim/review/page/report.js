@@ -120,6 +120,8 @@
   const from = Math.min(...data.runs.map((r) => r.from)), to = Math.max(...data.runs.map((r) => r.to));
   let focus = estimators[0], now = from, view = [from, to], playing = false;
   const shown = () => estimators.filter((e) => e.shown);
+  const upwards = () => shown().reverse(); // the best drawn last, over the others
+  const placeOf = (line) => (estimators.findIndex((e) => e.label === line.label) + 1) || Infinity;
   const truthOf = (k, run = focus.run) => {
     const s = series(run.truth.attitude[k]);
     return k === 2 && s ? circular((run.heading ??= derived(s, compass))) : s;
@@ -233,7 +235,8 @@
     caption() {
       if (!this.visible) return;
       const others = new Set(this.small ? shown().filter((e) => e !== focus).map((e) => e.label) : []); // no room for their values
-      const parts = (this.drawn ?? []).filter((l) => l.label && !l.mute && !others.has(l.label)).slice(0, 12)
+      const parts = (this.drawn ?? []).filter((l) => l.label && !l.mute && !others.has(l.label))
+        .sort((a, b) => (placeOf(a) === placeOf(b) ? 0 : placeOf(a) - placeOf(b))).slice(0, 12)
         .map((l) => { const s = element("span", { textContent: `${l.label} ${this.format(valueAt(l.s, now))}` }); s.style.color = l.color; return s; });
       const beyond = this.robust && $("robust").checked && this.cut ? [element("span", { className: "note", textContent: `${this.cut} beyond the scale` })] : [];
       this.head.replaceChildren(element("b", { textContent: this.title + (this.unit ? `, ${this.unit}` : "") }), ...parts, ...beyond);
@@ -574,7 +577,7 @@
     return new Plot(parent, {
       title: AXES[k], unit: "deg", format: (x) => (Number.isFinite(x) ? (k === 2 ? compass(x) : wrapped(x)).toFixed(2) : "–"), ticks: k === 2 ? headings : degrees,
       lines: () => [
-        ...(campaign ? [] : shown().map((e) => ({ label: e.label, color: e.color(), s: e.attitude[k](), width: e === focus ? 1.8 : 1.2 }))),
+        ...(campaign ? [] : upwards().map((e) => ({ label: e.label, color: e.color(), s: e.attitude[k](), width: e === focus ? 1.8 : 1.2 }))),
         ...(campaign ? [focus.run] : [...new Set([focus.run, ...shown().map((e) => e.run)])]).map((run) => ({
           label: data.runs.length > 1 ? `${run.label}: ${run.reference}` : run.reference,
           color: run === focus.run ? css("--truth") : css("--dim"), s: truthOf(k, run), width: 1.6, dash: [6, 3],
@@ -589,7 +592,7 @@
       new Plot($("errors"), {
         title: `${MEASURES[k]} error`, unit: "deg", height: 190, ticks: degrees, robust: k === TILT ? "positive" : "both",
         lines: () => [
-          ...shown().map((e) => ({ label: e.label, color: e.color(), s: k === 1 || k === TILT ? series(e.error[k]) : circular(series(e.error[k])), width: e === focus ? 1.6 : 1.1 })),
+          ...upwards().map((e) => ({ label: e.label, color: e.color(), s: k === 1 || k === TILT ? series(e.error[k]) : circular(series(e.error[k])), width: e === focus ? 1.6 : 1.1 })),
           ...(campaign && $("bands").checked ? shown() : []).flatMap((e) => [3, -3].map((n) => ({ color: e.color(), s: derived(e.part("sigma")?.[k], (s) => n * s), dash: [3, 4], width: 1, mute: true }))),
         ],
         bands: () => shown().filter((e) => campaign || banded(e)).map((e) => {
@@ -607,12 +610,12 @@
       if (!estimators.some((e) => e[key])) continue;
       any = true;
       ["x", "y", "z"].forEach((axis, k) => new Plot($("biases"), {
-        title: `${title} ${axis}`, unit, small: true, height: 160,
+        title: `${title} ${axis}`, unit, small: true, height: 160, robust: "both",
         lines: () => [
-          ...shown().filter((e) => e[key]).map((e) => ({ label: e.label, color: e.color(), s: e.part(key)[k] })),
+          ...upwards().filter((e) => e[key]).map((e) => ({ label: e.label, color: e.color(), s: e.part(key)[k] })),
           ...[...new Set(shown().map((e) => `${e.r}/${e.suite}`))].map((id) => {
             const [r, suite] = [id.slice(0, id.indexOf("/")), id.slice(id.indexOf("/") + 1)];
-            return { label: "truth", color: suite === focus.suite ? css("--truth") : css("--dim"), s: columns(data.runs[r].suites[suite]?.[key])?.[k], dash: [6, 3], width: 1.6 };
+            return { label: suite === focus.suite ? "truth" : "", color: suite === focus.suite ? css("--truth") : css("--dim"), s: columns(data.runs[r].suites[suite]?.[key])?.[k], dash: [6, 3], width: 1.6 };
           }),
         ],
         bands: () => shown().filter(banded).map((e) => {
@@ -626,12 +629,12 @@
     const bound = (s) => ({ color: css("--dim"), s, dash: [4, 4], width: 1, mute: true });
     new Plot($("consistency"), {
       title: campaign ? "NEES, mean over the flights, with its 95 % bounds" : "NEES of the attitude, with its 95 % bounds", unit: "1 is consistent", format: power, ticks: decades,
-      lines: () => [...shown().map((e) => ({ label: e.label, color: e.color(), s: series(e.nees) })),
+      lines: () => [...upwards().map((e) => ({ label: e.label, color: e.color(), s: series(e.nees) })),
         ...(campaign ? [bound(series(focus.nees_low)), bound(series(focus.nees_high))] : [bound(constant(Math.log10(0.2158 / 3))), bound(constant(Math.log10(9.348 / 3)))])],
     });
     if (estimators.some((e) => e.nis)) new Plot($("consistency"), {
       title: "NIS, sum over a second, with its 95 % bounds", unit: "1 is consistent", format: power, ticks: decades,
-      lines: () => [...shown().map((e) => ({ label: e.label, color: e.color(), s: series(e.nis) })), bound(series(focus.nis_low)), bound(series(focus.nis_high))],
+      lines: () => [...upwards().map((e) => ({ label: e.label, color: e.color(), s: series(e.nis) })), bound(series(focus.nis_low)), bound(series(focus.nis_high))],
     });
     detail();
   }
