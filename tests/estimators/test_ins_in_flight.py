@@ -7,7 +7,7 @@ import pytest
 
 from ahrs_sim import attitude, scenario
 from ahrs_sim.chain import Chain, site
-from ahrs_sim.evaluation import consistency
+from ahrs_sim.evaluation import consistency, metrics
 from ahrs_sim.flight import open_flight
 from ahrs_sim.flight.truth import Truth
 from ahrs_sim.sensors import make_suite
@@ -20,11 +20,11 @@ START, END = 80.0, 330.0  # s: the climb, two minutes of turning each way
 SEEDS = (11, 12, 13)
 
 
-def flown(seed, **changes):
+def flown(seed, name="turns", duration=END, **changes):
     """Truth, and by suite its data sheet, samples and true errors; `changes` add suites to the scenario's."""
-    data = {k: v for k, v in scenario.load("turns").data.items() if k != "catalogue"} | {"estimator": {}}
+    data = {k: v for k, v in scenario.load(name).data.items() if k != "catalogue"} | {"estimator": {}}
     data["suite"] = {**data["suite"], **changes}
-    known = scenario.parse(data, "turns", "turns", seed=seed, duration=END)
+    known = scenario.parse(data, name, name, seed=seed, duration=duration)
     flight = open_flight(known)
     place = site(flight.start_lla, known.epoch)
     suites = {
@@ -41,6 +41,10 @@ def flown(seed, **changes):
         records = chain.sense(truth)
         found[name] = (suite.info, chain.assemble(records), records["imu_errors"])
     return place, truth, found
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def at(t, times, values):
@@ -106,6 +110,27 @@ def test_a_delay_that_nobody_declared_is_learnt():
         errors[name, bool(given)] = float(np.sqrt(np.mean(attitude.rotation_vector(q, e.q_nb[rows]) ** 2)))
     assert errors["late", False] < 1.8 * errors["chr", False]
     assert errors["late", True] > 1.3 * errors["late", False]  # 1.49 here, 2.1 with seed 2: the worst fixes are refused
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["ins21", "ins-cal"])
+def test_what_shakes_in_a_hover_teaches_no_delay_and_no_heading(hover, name):
+    """Ten minutes of rotors' vibration, folded down by the sampling: learnt from, it cost 4 deg of heading."""
+    place, truth, info, samples = hover
+    e = create(name, site=place, sensors=info, heading_aid=False).process(samples)
+    rows = np.flatnonzero((e.t >= START) & (e.t <= truth.t[-1]))[::10]
+    q = attitude.interpolate(truth.t[::4], truth.q_nb[::4], e.t[rows])
+    error = np.degrees(metrics.attitude_errors(e.q_nb[rows], e.down_b[rows], q))
+    nees = float(np.nanmean(consistency.attitude_nees(e.q_nb[rows], e.att_cov[rows], q))) / 3.0
+    # 0.9 deg of tilt is what this accelerometer's errors make standing, and nothing shows them in a hover
+    assert rms(error[:, 3]) < 1.6 and rms(error[:, 2]) < 2.0 and 0.5 < nees < 2.0
+
+
+@pytest.fixture(scope="module")
+def hover():
+    place, truth, suites = flown(101, "hover", 640.0)
+    info, samples, _ = suites["chr"]
+    return place, truth, info, samples
 
 
 @pytest.mark.parametrize("name", ["ins21", "ins-cal"])

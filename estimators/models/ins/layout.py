@@ -84,6 +84,7 @@ class Kept(Record):
     turned: Turned  # the heading that motion shows
     q_nb: Vector4  # the attitude before the last row's measurements
     acceleration_n: Vector3  # m/s2
+    steady_n: Vector3  # m/s2, its mean over the last moment
     late2: Number  # s2, variance of a delay of the fixes that has been learnt
     reopened: Flag  # the next step opens the covariance
 

@@ -22,6 +22,7 @@ from estimators.rotations import (
 )
 from estimators.turned import note_correction, note_force
 
+STEADY = 0.3  # s, over which an acceleration that lasts is averaged
 MISSING = 0.25  # s without the IMU after which the last rate and force say little of what was missed
 
 
@@ -56,6 +57,9 @@ def load(model: Shared, row: Sample, x: State, memory: Kept, u: Motion) -> None:
     u.gyro_psd = model.gyro_psd + model.rate_noise * rate2 + model.jerk_share * dt * memory.jerky
     north, east, down = acceleration(model, x, u)
     memory.acceleration_n[0], memory.acceleration_n[1], memory.acceleration_n[2] = north, east, down
+    for i in range(3):
+        if math.isfinite(memory.acceleration_n[i]):
+            memory.steady_n[i] += min(dt / STEADY, 1.0) * (memory.acceleration_n[i] - memory.steady_n[i])
     note_turned(x, memory)
     note_force(memory.turned, north, east, dt)
     u.accel_psd = model.accel_psd + model.accel_noise2 * (north * north + east * east + down * down)

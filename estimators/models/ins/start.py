@@ -94,7 +94,7 @@ def build(
     for i in range(6):
         memory.gnss.off2[i] = memory.gnss.opens2[i] = 0.0
     for i in range(3):
-        memory.step_b[i] = memory.shock_b[i] = 0.0
+        memory.step_b[i] = memory.shock_b[i] = memory.steady_n[i] = 0.0
         known &= math.isfinite(velocity[i])
         placed &= math.isfinite(alignment.lla[i])
     for i in range(4):

@@ -2,8 +2,8 @@
 
 A delay that the stamps do not know of is learnt beside the filter. A velocity that is `late` s older than it says is
 off by -a late, a the acceleration; the delay is the scalar estimate of that from each fix, its variance bounded below
-so that it goes on learning while the filter's own velocity gives way to the same error. It is taken out from
-`SURELY_LATE` on.
+so that it goes on learning while the filter's own velocity gives way to the same error. Only an acceleration that
+lasts, and is larger than the vibration, shows it. It is taken out from `SURELY_LATE` on.
 
 A velocity or a place that is off by more than `JUMP` sigma, prediction and fix together, is no error of the attitude:
 it is a receiver that is wrong, has been, or is right again after the IMU has missed something. That fix is left out,
@@ -189,7 +189,9 @@ def learn_delay(own: Parameters, memory: Kept, row: Sample, taken: float, then: 
         square += a * a
         information += a * a / variance
         along -= a * (row.vel_n[i] - then[i]) / variance
-    if square < MANOEUVRE**2:
+    steady = memory.steady_n
+    lasting = steady[0] ** 2 + steady[1] ** 2 + steady[2] ** 2 - memory.shaky  # vibration is not in the receiver
+    if min(square, lasting) < MANOEUVRE**2:
         return
     along += (taken - kept.late) * information
     late2 = kept.late2 / (1.0 + kept.late2 * information)
