@@ -17,19 +17,24 @@ from estimators.navigator.history import ANGLES, CARRIED
 from estimators.navigator.layout import (
     BASELINE,
     FIELD,
+    FIELD_NOISE,
     FIELDS,
     GYRO_BIAS,
     GYRO_FAST,
     GYRO_SLOW,
     HARD_IRON,
+    JERK,
     LATE,
     MAG_MATRIX,
     PHI,
     POS,
     SECONDS,
+    SHAKE,
     SPEED,
+    SPEED_NOISE,
     SURPRISE,
     T_AID,
+    T_BASELINE,
     T_GNSS,
     T_MAG,
     VEL,
@@ -50,6 +55,11 @@ from estimators.turned import carried, note_fix, refuse_field
 Z_VELOCITY, Z_PLACE, Z_FIELD, Z_BASELINE = 0, 3, 6, 9  # in the innovations
 MAX_FIELD, MAX_SPEED = 0.01, 2000.0  # T, m/s: beyond is no measurement
 STILL_SPEED = 0.05  # m/s
+WRONG_FIX = 20.0  # s, for which a baseline that contradicts what it has said is left out: a wrong ambiguity
+USUAL, MOST = 1.4, 20.0  # innovation squared over its variance, above which a noise is raised; by how much at most
+NOISE_TIME = 20.0  # s, in which it follows
+SHAKEN2 = math.radians(1.0) ** 2  # (rad/s)^2, variance of the gyro between samples: more is vibration
+MANOEUVRE = 1.0  # m/s2, the least acceleration that shows a delay where there is some
 UP = 1.5  # satellites are all above: vertical errors are larger by about that
 LEVEL = math.sqrt(3.0 / (2.0 + UP**2))  # of a data sheet's sigma, the mean over the axes: north and east
 
@@ -83,6 +93,14 @@ def take(model: Parameters, memory: Memory, P: np.ndarray, work: Work, rows: int
 
 
 @inner
+def followed(memory: Memory, raised: float, dt: float, times: float) -> float:
+    """The factor on a noise, after dt (s), that brings the innovation just taken in, `times` as large, to its size."""
+    excess = min(times * memory.seen[SURPRISE], MOST) - USUAL
+    share = min(dt, 1.0) / NOISE_TIME if dt > 0.0 else 0.0
+    return float(min(max(raised * (1.0 + share * excess), 1.0), MOST))
+
+
+@inner
 def remember(model: Parameters, nominal: Nominal, memory: Memory, w: Triple, t: float) -> None:
     """Keep what late measurements are compared with."""
     a, q, now = model.antenna_b, nominal.q, local(WIDTH)
@@ -111,13 +129,18 @@ def take_fix(model: Parameters, carry: Carry, work: Work, row: Sample, f_n: Trip
     for i in range(3):
         speed &= abs(vel_n[i]) < MAX_SPEED
     if speed:
+        steady, raised = memory.steady[1], memory.seen[SPEED_NOISE]
+        lasting = steady[0] ** 2 + steady[1] ** 2 + (steady[2] + model.gravity) ** 2 - memory.seen[SHAKE]
+        shown = memory.seen[JERK] < SHAKEN2 or lasting > MANOEUVRE**2
         for i in range(3):
             wide = UP if i == 2 else 1.0
-            noise = (wide * model.gnss_velocity) ** 2 + time2 * a_n[i] * a_n[i]
+            noise = raised * (wide * model.gnss_velocity) ** 2 + time2 * a_n[i] * a_n[i]
             begin(work, i, vel_n[i] - then[i], noise)
             put(work, i, VEL + i, 1.0)
-            put(work, i, LATE, -a_n[i])
+            if shown:  # else what shakes the accelerometer would go for a delay
+                put(work, i, LATE, -steady[i] - (model.gravity if i == 2 else 0.0))
         take(model, memory, P, work, 3, Z_VELOCITY, answer)
+        memory.seen[SPEED_NOISE] = followed(memory, raised, t - memory.clock[T_GNSS], 1.0)
         memory.clock[T_AID] = memory.clock[T_GNSS] = t
         note_fix(memory.turned, true_t, vel_n[0], vel_n[1], then[CARRIED], then[CARRIED + 1])
         memory.seen[SPEED] = math.sqrt(vel_n[0] ** 2 + vel_n[1] ** 2 + vel_n[2] ** 2)
@@ -175,8 +198,10 @@ def take_field(model: Parameters, carry: Carry, work: Work, t: float, answer: Es
     turn = atan2(model.mag_n[1], model.mag_n[0]) - atan2(batch.read[1], batch.read[0])  # as if nothing were learnt
     if refuse_field(memory.turned, t, wrap(turn), model.gnss_velocity, model.field_off):
         return
+    raised = memory.seen[FIELD_NOISE]
+    once = model.mag_floor**2 + (model.mag_shake * memory.seen[JERK]) ** 2
     for i in range(3):
-        begin(work, i, batch.field[i] / n, model.mag_noise**2 / n + model.mag_floor**2)
+        begin(work, i, batch.field[i] / n, raised * raised * (model.mag_noise**2 / n + once))
         for j in range(3):
             put(work, i, PHI + j, batch.field_slope[i, PHI + j] / n)
             put(work, i, FIELD + j, batch.field_slope[i, FIELD + j] / n)
@@ -184,6 +209,8 @@ def take_field(model: Parameters, carry: Carry, work: Work, t: float, answer: Es
             put(work, i, j, batch.field_slope[i, j] / n)
         put(work, i, HARD_IRON + i, 1.0)
     take(model, memory, P, work, 3, Z_FIELD, answer)
+    # what its innovations have too much is no white noise: it is raised by as much again
+    memory.seen[FIELD_NOISE] = followed(memory, raised, t - memory.clock[T_MAG], raised)
     memory.clock[T_MAG] = t
 
 
@@ -211,6 +238,10 @@ def take_baseline(model: Parameters, carry: Carry, work: Work, row: Sample, answ
     put(work, 0, BASELINE, 1.0)
     put(work, 0, BASELINE + 1, yaw_share)
     put(work, 0, BASELINE + 2, pitch_share)
+    if nis(P, work, 1) <= model.surprise:
+        memory.clock[T_BASELINE] = row.t
+    elif row.t - memory.clock[T_BASELINE] < WRONG_FIX:
+        return
     take(model, memory, P, work, 1, Z_BASELINE, answer)
 
 

@@ -13,6 +13,10 @@ M are full matrices: scale factors on the diagonal, misalignment, cross-axis sen
 error E is a factor, `I + M = (I + M_estimated) (I + E)`: a rotation of all three sensors and the attitude together,
 which no reading shows, is then the same direction of the error state whatever has been estimated, and the filter does
 not become certain of it.
+
+How errors grow with rate and force is taken from their mean over a moment where the unit is shaken
+(`loop.keep_steady`): vibration that the sampling folds down is in no aid, and the matrices would be fitted to it. For
+the same reason a delay is seen in accelerations that last, and a reading of the field counts less there (`mag_shake`).
 """
 
 from typing import Annotated, Any
@@ -32,8 +36,8 @@ MOVING = 9  # components that move by themselves
 SMOOTHED = 21  # components that a smoother gives: to the bias of the accelerometer
 COUPLED = HARD_IRON  # those before it act on them
 FAST_TIME, SLOW_TIME = 10.0, 100.0  # s, of the terms of the gyro's bias in run
-T_LAST, T_GOOD, T_BATCH, T_AID, T_GNSS, T_MAG, T_SECOND, CLOCKS = range(8)
-GOOD, JERK, SHAKE, COUNT, IS_STILL, WAS_STILL, SPEED, SURPRISE, SEEN = range(9)
+T_LAST, T_GOOD, T_BATCH, T_AID, T_GNSS, T_MAG, T_BASELINE, T_SECOND, CLOCKS = range(9)
+GOOD, JERK, SHAKE, COUNT, IS_STILL, WAS_STILL, SPEED, SURPRISE, FIELD_NOISE, SPEED_NOISE, SEEN = range(11)
 GYRO_VARIANCE, FORCE_VARIANCE, SECONDS, FIELDS, TOTALS = range(5)
 
 Errors = Annotated[np.ndarray, shaped(N)]
@@ -67,6 +71,7 @@ class Parameters(Record):
     gnss_time: Number  # s, of the time of a fix, from fix to fix
     mag_noise: Number  # T, of one sample
     mag_floor: Number  # T, of one use of the field, whatever the number of samples
+    mag_shake: Number  # T s2, besides, of the gyro's variance between samples
     gyro_delay: Number  # s: estimates are turned on by so much, to the stamp
     accel_delay: Number  # s: and moved on by so much
     baseline_share: Number  # of the reported sigma that is white
@@ -91,6 +96,7 @@ class Memory(Record):
     last: Pairs3  # last good rate and force
     mean: Pairs3  # mean rate and force of the step
     step: Pairs3  # rad/s, m/s2: last changes of rate and force
+    steady: Pairs3  # rad/s, m/s2 NED: rate and force without what vibrates
     second: Annotated[np.ndarray, shaped(2, 6)]  # mean and spread of the present second
     seen: Annotated[np.ndarray, shaped(SEEN)]
     turned: Turned  # the heading that motion shows

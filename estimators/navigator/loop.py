@@ -82,6 +82,9 @@ WRONG_TILT = 0.15  # rad, that a wrong heading has made
 MAX_STEP, MAX_STEPS = 0.5, 120  # s; a longer gap than a minute is bridged with longer steps
 MAX_RATE, MAX_FORCE = 100.0, 2000.0  # rad/s, m/s2
 JERK_TIME = 0.3  # s, over which the gyro's scatter between samples is averaged
+STEADY = 0.3  # s, of the mean by which errors grow where the unit is shaken: what sampling folds down is out of it
+SHAKEN2 = math.radians(2.0) ** 2  # (rad/s)^2, variance of the gyro between samples: that mean is half as long
+SHAKEN_S = 0.07  # s: vibration makes the velocity wrong by its acceleration for about so long, back and forth
 AID_TIMEOUT, MAG_TIMEOUT = 2.0, 2.0  # s
 STILL_SPEED = 0.2  # m/s
 FASTEST = 30.0  # rad/s: beyond, it is no rate
@@ -279,9 +282,10 @@ def predict(model: Parameters, carry: Carry, work: Work, dt: float, k: int) -> T
         psd += BLIND_PSD
     force_psd = model.accel_psd + model.accel_noise2 * a2
     force_psd += min(model.shake_share * part * memory.seen[SHAKE], model.shake_most)
+    keep_steady(memory, w, f_n, dt)
     for _ in range(steps):
         if part > 0.0:
-            f_n = advance(model, nominal, batch, work.C, w, f, part)
+            f_n = advance(model, nominal, batch, work.C, w, f, memory.steady, part)
             note_force(memory.turned, f_n[0], f_n[1], part)
             batch.total[GYRO_VARIANCE] += psd * part
             batch.total[FORCE_VARIANCE] += force_psd * part
@@ -297,6 +301,19 @@ def predict(model: Parameters, carry: Carry, work: Work, dt: float, k: int) -> T
     for i in range(3):
         batch.rate[i] += (w[i] - work.C[i, 0] * ie_n - work.C[i, 2] * ie_d) * part
     return f_n
+
+
+@inner
+def keep_steady(memory: Memory, w: Triple, f_n: Triple, dt: float) -> None:
+    """Mean rate and force of the last moment, by which errors grow; of this row alone where nothing shakes."""
+    steady, jerky = memory.steady, memory.seen[JERK] * memory.seen[JERK]
+    span = STEADY * jerky / (jerky + SHAKEN2 * SHAKEN2)  # turning in a gust is none
+    share = dt / (dt + span) if dt > 0.0 else 1.0
+    for i in range(3):
+        if math.isnan(steady[0, i] + steady[1, i]):
+            steady[0, i], steady[1, i] = w[i], f_n[i]
+        steady[0, i] += share * (w[i] - steady[0, i])
+        steady[1, i] += share * (f_n[i] - steady[1, i])
 
 
 @inner
@@ -447,6 +464,7 @@ def report(model: Parameters, carry: Carry, work: Work, answer: Estimate) -> Non
         answer.vel_n[i] = v_n[i] + ahead * a_n[i]
         for j in range(3):
             answer.vel_cov[i, j], answer.pos_cov[i, j] = P[VEL + i, VEL + j], P[POS + i, POS + j]
+        answer.vel_cov[i, i] += SHAKEN_S * SHAKEN_S * memory.seen[SHAKE]
     answer.adaptation[0] = memory.seen[IS_STILL]
     answer.adaptation[1] = memory.seen[SURPRISE]
     answer.adaptation[2] = memory.turned.refused

@@ -18,6 +18,7 @@ from estimators.navigator.layout import (
     COUNT,
     FAST_TIME,
     FIELD,
+    FIELD_NOISE,
     GOOD,
     GYRO_BIAS,
     GYRO_FAST,
@@ -33,6 +34,7 @@ from estimators.navigator.layout import (
     SEEN,
     SHAKE,
     SLOW_TIME,
+    SPEED_NOISE,
     VEL,
     WANDER,
     WAS_STILL,
@@ -78,7 +80,8 @@ def configure(settings: Record, site: Place, sensors: Sheet, out: Parameters) ->
     out.gnss_time = settings.gnss_time
     out.mag_noise = max(sensors.mag_noise, 1e-9)
     mag_n = site.mag_n
-    out.mag_floor = settings.mag_floor * math.sqrt(mag_n[0] * mag_n[0] + mag_n[1] * mag_n[1] + mag_n[2] * mag_n[2])
+    strength = math.sqrt(mag_n[0] * mag_n[0] + mag_n[1] * mag_n[1] + mag_n[2] * mag_n[2])
+    out.mag_floor, out.mag_shake = settings.mag_floor * strength, settings.mag_shake * strength
     out.baseline_share = settings.heading_share
     out.surprise, out.field_off, out.use_heading = settings.surprise, settings.field_off, settings.heading_aid
     _wander(settings, sensors, flicker, out)
@@ -187,14 +190,14 @@ def _forget(memory: Memory) -> None:
     for i in range(CLOCKS):
         memory.clock[i] = math.nan
     for i in range(6):
-        memory.last[i // 3, i % 3] = math.nan
+        memory.last[i // 3, i % 3] = memory.steady[i // 3, i % 3] = math.nan
         memory.mean[i // 3, i % 3] = memory.step[i // 3, i % 3] = 0.0
         memory.second[0, i] = memory.second[1, i] = 0.0
     for i in range(SEEN):
         memory.seen[i] = math.nan
     for kind in (IS_STILL, WAS_STILL, COUNT, JERK, SHAKE):
         memory.seen[kind] = 0.0
-    memory.seen[GOOD] = 1.0
+    memory.seen[GOOD] = memory.seen[FIELD_NOISE] = memory.seen[SPEED_NOISE] = 1.0
     begin_turned(memory.turned)
     memory.past.newest = math.nan
     for i in range(SLOTS):

@@ -63,9 +63,16 @@ def true_force(c: np.ndarray, accel: np.ndarray) -> Triple:
 
 @inner
 def advance(
-    model: Parameters, nominal: Nominal, batch: Batch, C: np.ndarray, w: Triple, f: Triple, dt: float
+    model: Parameters,
+    nominal: Nominal,
+    batch: Batch,
+    C: np.ndarray,
+    w: Triple,
+    f: Triple,
+    steady: np.ndarray,
+    dt: float,
 ) -> Triple:
-    """Move the state by dt with rate w and force f, and the batch's transition; the force in navigation axes."""
+    """Move the state by dt with rate w and force f, the transition with `steady`; the force in navigation axes."""
     q, v, lla = nominal.q, nominal.v, nominal.lla
     north, east, down = v[0], v[1], v[2]
     ie_n, ie_d, en_n, en_e, en_d = frame_rates(lla, v)
@@ -84,7 +91,13 @@ def advance(
     for i in range(4):
         between[i] = half[i]
     attitude_matrix(between, C)
-    transition(batch.F, C, nominal.c, w, f, f_n, dt)
+    x, y, z = steady[1, 0], steady[1, 1], steady[1, 2]
+    steady_b = (
+        C[0, 0] * x + C[0, 1] * y + C[0, 2] * z,
+        C[1, 0] * x + C[1, 1] * y + C[1, 2] * z,
+        C[2, 0] * x + C[2, 1] * y + C[2, 2] * z,
+    )
+    transition(batch.F, C, nominal.c, (steady[0, 0], steady[0, 1], steady[0, 2]), steady_b, (x, y, z), dt)
     batch.total[SECONDS] += dt
     return f_n
 
