@@ -257,17 +257,19 @@ def smooth(navigator: Navigator, samples: Samples) -> Estimates:
 def _smooth(navigator: Navigator, samples: Samples) -> Estimates:
     """Smooth a recording without a gap after which the navigator aligns anew."""
     navigator.reset()
-    states = []
+    states, room = [], 0
     for first in range(0, len(samples), CHUNK):
         states.append(navigator.state())
+        room = max(room, _batches(samples.t[first : first + CHUNK]))
         navigator.process(samples[first : first + CHUNK])
     states.append(navigator.state())
     behind = Behind(np.zeros(N), np.zeros((N, N)))
+    memory = tape(room)
     estimates, smoothed = [], []
     for k in range(len(states) - 2, -1, -1):
         navigator.restore(states[k])
         chunk = samples[k * CHUNK : (k + 1) * CHUNK]
-        memory = tape(_batches(chunk.t))
+        memory[0].batch = memory[0].number = 0
         estimates.append(navigator.process(chunk, memory[0]))
         smoothed.append(_backwards(memory[0], memory[1]["row"], behind, k * CHUNK))
     navigator.restore(states[-1])
