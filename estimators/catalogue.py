@@ -226,7 +226,7 @@ def prepare(
 MANY = 8
 """Kernels to compile from which on a second process is worth its start."""
 
-_Plans = list[dict[Path, Callable[[], None]]]
+_Plans = list[dict[Path, Callable[[], object]]]
 
 
 def _planned(methods: Sequence[tuple[str, Mapping[str, Any]]]) -> _Plans:

@@ -6,16 +6,21 @@
 
 Numba compiles for the machine it runs on, and has no intermediate code of what comes from its cache. A process of its
 own therefore compiles the kernels afresh, without optimisation and with rows only as long as this method needs, and
-LLVM does the rest for the target. The arithmetic is the same: nothing is contracted or reordered, and all functions
-that differ from one C library to the next are those of `estimators.elementary`.
+LLVM does the rest for the target. The intermediate code is kept on disk beside the compiled kernels: methods whose rows
+have the same length share it. The arithmetic is the same: nothing is contracted or reordered, and all functions that
+differ from one C library to the next are those of `estimators.elementary`.
 """
 
+import functools
+import hashlib
 import json
 import os
+import pickle
 import re
 import subprocess
 import sys
 import tempfile
+import zlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -110,6 +115,7 @@ def emit(
     """
     from estimators.catalogue import create
     from estimators.estimator import Compiled
+    from estimators.jit import FOLDER
 
     made = create(name, site=site, sensors=sensors, **settings)
     if not isinstance(made, Compiled):
@@ -127,6 +133,7 @@ def emit(
             "sensors": asdict(sensors),
         }
         task |= {"targets": list(targets), "folder": folder, "exercised": exercise is not None, "single": single}
+        task["kept"] = str(FOLDER)
         if exercise is not None:
             pack(exercise).tofile(Path(folder) / "exercise")
         command = [sys.executable, "-W", "ignore", "-c", "from estimators.emit import _main; _main()"]
@@ -154,8 +161,7 @@ def _main() -> None:
 
     def collected(name: str, function: Any, arguments: str, returns: Any) -> int:
         entry = name.rpartition(".")[2]
-        made = native.cfunc(function, arguments, returns)
-        kernels[entry] = made.native_name, made._library.get_llvm_str()
+        kernels[entry] = _intermediate(Path(task["kept"]), name, lambda: native.cfunc(function, arguments, returns))
         return _fake(len(kernels) - 1)
 
     native.compiled = collected
@@ -178,6 +184,65 @@ def _main() -> None:
     }
     operations = _operations(kernels, records, blocks, folder / "exercise") if task["exercised"] else None
     (folder / "blocks.json").write_text(json.dumps({"blocks": described, "stack": stack, "operations": operations}))
+
+
+def _intermediate(kept: Path, name: str, compiled: Callable[[], Any]) -> tuple[str, str]:
+    """Symbol and intermediate code of a kernel: read from the folder `kept`, or compiled and put there.
+
+    It depends on the length of rows and on the machine that compiles, besides what `kept` is named by.
+    """
+    from numba.core import registry
+
+    from estimators import native
+
+    made_for = (native.CAPACITY, registry.cpu_target.target_context.codegen().magic_tuple())
+    path = kept / f"{name}.{hashlib.sha256(repr(made_for).encode()).hexdigest()[:12]}.code"
+    try:
+        symbol, code = pickle.loads(zlib.decompress(path.read_bytes()))
+    except (OSError, EOFError, ValueError, zlib.error, pickle.UnpicklingError):
+        made = compiled()
+        symbol, code = made.native_name, _named_by_contents(made._library.get_llvm_str())
+        native.store(path, zlib.compress(pickle.dumps((symbol, code)), 1))
+    return symbol, code
+
+
+def _named_by_contents(code: str) -> str:
+    """Name the functions that kernels share after what they do.
+
+    Numba numbers functions as they come in a process: two of the same name may be different ones, and one has as many
+    names as there were processes. Kernels of several processes are linked by these names.
+    """
+    defined = {found["function"] or found["variable"]: found for found in _DEFINED.finditer(code)}
+    notes = dict(re.findall(r"^!(\d+) = (.*)$", code, re.MULTILINE))  # numbered by kernel
+
+    @functools.cache
+    def contents(name: str) -> str:
+        if name not in defined:
+            return name
+        text = _NAME.sub(lambda used: "" if used[1] == name else contents(used[1]), defined[name][0])
+        text = _OBJECT.sub("", _NOTE.sub(lambda used: notes.get(used[1], ""), text))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    shared = {name for name, found in defined.items() if found["linkage"] == "linkonce_odr"}
+    first = {contents(name): name for name in reversed(defined) if name in shared}
+
+    def once(found: re.Match[str]) -> str:
+        name = found["function"]
+        return "" if name in shared and first[contents(name)] != name else found[0]
+
+    def renamed(used: re.Match[str]) -> str:
+        return f"@inner.{contents(used[1])}" if used[1] in shared else used[0]
+
+    return _NAME.sub(renamed, _DEFINED.sub(once, code))
+
+
+_DEFINED = re.compile(
+    r"^define (?P<linkage>\w+) [^@]*@(?P<function>[\w.$]+)\(.*?^}|^@(?P<variable>\"[^\"]+\"|[\w.$]+) = [^\n]*$",
+    re.MULTILINE | re.DOTALL,
+)
+_NAME = re.compile(r"@(\"[^\"]+\"|[\w.$]+)")
+_NOTE = re.compile(r"!(\d+)\b")
+_OBJECT = re.compile(r"inttoptr \(i64 \d+ to ptr\)")  # of Python, for exceptions that kernels do not raise
 
 
 def _operations(

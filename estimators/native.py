@@ -464,11 +464,11 @@ listeners: list[Callable[[], None]] = []
 """Called before each compilation of a C function, not when it comes from the disk."""
 
 
-_planned: dict[Path, Callable[[], None]] | None = None
+_planned: dict[Path, Callable[[], object]] | None = None
 
 
 @contextlib.contextmanager
-def planning() -> Iterator[dict[Path, Callable[[], None]]]:
+def planning() -> Iterator[dict[Path, Callable[[], object]]]:
     """List what is not on the disk yet instead of compiling it: by file, what makes it.
 
     What is created meanwhile has no kernels and must not be run.
@@ -494,16 +494,45 @@ def compiled(name: str, function: Callable[..., Any], arguments: str, returns: A
     rtsys.initialize(context)  # what is loaded may name its symbols, and nothing may have been compiled before
     codegen = context.codegen()
     path = FOLDER / f"{name}.{hashlib.sha256(repr(codegen.magic_tuple()).encode()).hexdigest()[:12]}.kernel"
-    try:
-        symbol, state = pickle.loads(path.read_bytes())
-    except (OSError, EOFError, ValueError, pickle.UnpicklingError):
+    found = _read(path)
+    if found is None:
         if _planned is not None:
-            _planned[path] = lambda: _store(path, pickle.dumps(_compile(function, arguments, returns)))
+            _planned[path] = lambda: _read_or_compile(path, function, arguments, returns)
             return 0
-        symbol, state = _compile(function, arguments, returns)
-        _store(path, pickle.dumps((symbol, state)))
+        found = _read_or_compile(path, function, arguments, returns)
+    symbol, state = found
     _KEEP.append(codegen.unserialize_library(state))
     return int(codegen._engine.get_function_address(symbol))
+
+
+def _read(path: Path) -> Any:
+    try:
+        return pickle.loads(path.read_bytes())
+    except (OSError, EOFError, ValueError, pickle.UnpicklingError):
+        return None
+
+
+def _read_or_compile(path: Path, function: Kernel, arguments: str, returns: Any) -> Any:
+    with _alone(path):
+        found = _read(path)
+        if found is None:
+            found = _compile(function, arguments, returns)
+            store(path, pickle.dumps(found))
+    return found
+
+
+@contextlib.contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Wait until no other process compiles for this file; where there are no locks, several do."""
+    with contextlib.ExitStack() as held:
+        with contextlib.suppress(ImportError, OSError):
+            import fcntl
+
+            path.parent.mkdir(parents=True, exist_ok=True)
+            lock = held.enter_context((path.parent / "lock").open("ab"))
+            place = int.from_bytes(hashlib.sha256(path.name.encode()).digest()[:4], "little") >> 1
+            fcntl.lockf(lock, fcntl.LOCK_EX, 1, place)  # a byte for each kernel; free when its owner ends
+        yield
 
 
 _ARGUMENTS = {"p": types.voidptr, "i": types.int64, "f": types.float64}
@@ -532,7 +561,7 @@ def _compile(function: Callable[..., Any], arguments: str, returns: Any) -> tupl
     return made.native_name, (name, "object", (code, nothing))
 
 
-def _store(path: Path, content: bytes) -> None:
+def store(path: Path, content: bytes) -> None:
     """Write at once or not at all: processes that compile at the same time do not see halves."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

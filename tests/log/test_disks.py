@@ -190,7 +190,10 @@ t = np.arange(300) / 100
 noise = np.random.default_rng(1).normal(size=(3, 300, 3))
 field = {"mag_b": np.array([2e-5, 0.0, 4e-5]) + 1e-7 * noise[2], "mag_new": np.ones(300, bool)}
 still = Samples.make(t, 1e-3 * noise[0], np.array([0.0, 0.0, -9.8]) + 1e-2 * noise[1], **field)
-print(estimators.create("tilt-ekf", align_s=1.0).process(still).status[-1])
+from estimators import native
+compiled = []
+native.listeners.append(lambda: compiled.append(None))
+print(estimators.create("tilt-ekf", align_s=1.0).process(still).status[-1], len(compiled))
 """
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     made = [
@@ -199,4 +202,8 @@ print(estimators.create("tilt-ekf", align_s=1.0).process(still).status[-1])
     ]
     results = [process.communicate() for process in made]
     assert [process.returncode for process in made] == [0, 0, 0], results
-    assert {out for out, _ in results} == {b"1\n"}
+    outputs = [out.split() for out, _ in results]
+    assert {status for status, _ in outputs} == {b"1"}
+    kernels = list((tmp_path / "cache").rglob("*.kernel"))
+    assert len(kernels) > 10
+    assert sum(int(compiled) for _, compiled in outputs) == len(kernels), "each is compiled by one of them"
