@@ -16,7 +16,7 @@ from ahrs_sim.evaluation import paired
 from ahrs_sim.runs import kept
 from ahrs_sim.runs import pool as flights
 from ahrs_sim.runs.campaign_plan import Plan
-from ahrs_sim.runs.pool import Pool
+from ahrs_sim.runs.pool import Pool, Run
 from ahrs_sim.runs.variation import put, span
 from ahrs_sim.scenario import Scenario
 
@@ -120,70 +120,16 @@ def tune(
         InputError: knobs of different estimators, an unknown figure, settings that cannot be flown.
         CheckError: the estimator has no finite figure at the settings it has.
     """
-    from scipy import optimize
-
     estimator = knobs[0].estimator
     if any(k.estimator != estimator for k in knobs):
         raise InputError("--tune: the settings belong to different estimators; tune one at a time")
     if any(v.split("=")[1].startswith("lhs") for v in plan.vary):
         raise InputError("--tune: a Latin hypercube has no held-out runs; use uniform")
-    count = plan.runs
-    flown = 0
-
-    def fly(numbers: range, x: np.ndarray | None) -> np.ndarray:
-        nonlocal flown
-        settings = {} if x is None else {k.setting: k.value(float(v)) for k, v in zip(knobs, x, strict=True)}
-        todo = []
-        for number in numbers:
-            run = plan.run(number)
-            data: dict[str, Any] = {**run.data, "estimator": {estimator: dict(run.data["estimator"][estimator])}}
-            for name, value in settings.items():
-                put(data, f"estimator.{estimator}.{name}", value)
-            todo.append(replace(run, key=number - numbers.start, data=data, band_s=None))
-        if not flown:
-            flights.warm_up(pool, todo[:1])
-        values = np.full(len(numbers), np.nan)
-        for outcome in flights.fly_all(pool, todo, task=kept.fly):
-            if outcome.bad_input:
-                raise InputError(str(outcome.error))
-            figures = outcome.figures.get(estimator, {})
-            if figures and metric not in figures:
-                raise InputError(f"--metric {metric}: no such figure{nearest(metric, figures)}")
-            values[outcome.key] = figures.get(metric, math.nan)
-        flown += len(numbers)
-        return values
-
-    trials: dict[tuple[float, ...], float] = {}
-
-    def cost(x: np.ndarray) -> float:
-        x = np.clip(np.atleast_1d(np.asarray(x, float)), 0.0, 1.0)
-        if (key := tuple(x)) not in trials:
-            values = fly(range(count), x)
-            # A run that fails is as bad as an attitude can be: the search must not prefer settings that crash.
-            trials[key] = float(np.where(np.isfinite(values), values, 180.0).mean())
-            progress(len(trials), evaluations)
-        return trials[key]
-
-    if len(knobs) == 1:
-        optimize.minimize_scalar(
-            lambda x: cost(np.array([x])), bounds=(0.0, 1.0), method="bounded",
-            options={"maxiter": evaluations, "xatol": 0.01},
-        )  # fmt: skip
-    else:
-        n = len(knobs)
-        simplex = np.full((n + 1, n), 0.35)
-        simplex[np.arange(n) + 1, np.arange(n)] = 0.75
-        optimize.minimize(
-            cost, simplex[0], method="Nelder-Mead", bounds=[(0.0, 1.0)] * n,
-            options={"maxfev": evaluations, "initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-4},
-        )  # fmt: skip
-
-    def named(x: np.ndarray) -> dict[str, float]:
-        return {f"{estimator}.{k.setting}": k.value(float(v)) for k, v in zip(knobs, x, strict=True)}
-
-    best = np.array(min(trials, key=lambda key: trials[key]))
-    held_out = range(count, 2 * count)
-    before, after = fly(held_out, None), fly(held_out, best)
+    trials = _Trials(plan, knobs, metric, pool, lambda done: progress(done, evaluations))
+    _minimise(trials.cost, len(knobs), evaluations)
+    best = np.array(min(trials.costs, key=lambda key: trials.costs[key]))
+    held_out = range(plan.runs, 2 * plan.runs)
+    before, after = trials.fly(held_out, None), trials.fly(held_out, best)
     both = np.isfinite(before) & np.isfinite(after)
     if not both.any():
         raise CheckError(f"--tune: {estimator} has no {metric} in any held-out run")
@@ -191,14 +137,84 @@ def tune(
     assert change is not None  # there are both
     low, high = (None if math.isnan(x) else x for x in (-change.high, -change.low))
     return Tuned(
-        settings=named(best),
+        settings=trials.named(best),
         metric=metric,
         before=float(before[both].mean()),
         after=float(after[both].mean()),
         gain=-change.change,
         low=low,
         high=high,
-        flights=flown,
+        flights=trials.flown,
         runs=change.pairs,
-        trials=[{**named(np.array(x)), "score": score} for x, score in trials.items()],
+        trials=[{**trials.named(np.array(x)), "score": cost} for x, cost in trials.costs.items()],
     )
+
+
+class _Trials:
+    """Flies an estimator at points of the unit cube of its knobs, and keeps the cost of each."""
+
+    def __init__(
+        self, plan: Plan, knobs: Sequence[Knob], metric: str, pool: Pool, progress: Callable[[int], None]
+    ) -> None:
+        self.plan, self.knobs, self.metric, self.pool, self.progress = plan, knobs, metric, pool, progress
+        self.estimator = knobs[0].estimator
+        self.costs: dict[tuple[float, ...], float] = {}
+        self.flown = 0
+
+    def fly(self, numbers: range, x: np.ndarray | None) -> np.ndarray:
+        """Fly runs by number at the point `x`, or unchanged (None); return their metric, NaN for a failed run."""
+        todo = [self._run(number, numbers.start, x) for number in numbers]
+        if not self.flown:
+            flights.warm_up(self.pool, todo[:1])
+        values = np.full(len(numbers), np.nan)
+        for outcome in flights.fly_all(self.pool, todo, task=kept.fly):
+            if outcome.bad_input:
+                raise InputError(str(outcome.error))
+            figures = outcome.figures.get(self.estimator, {})
+            if figures and self.metric not in figures:
+                raise InputError(f"--metric {self.metric}: no such figure{nearest(self.metric, figures)}")
+            values[outcome.key] = figures.get(self.metric, math.nan)
+        self.flown += len(numbers)
+        return values
+
+    def _run(self, number: int, first: int, x: np.ndarray | None) -> Run:
+        run = self.plan.run(number)
+        data: dict[str, Any] = {
+            **run.data,
+            "estimator": {self.estimator: dict(run.data["estimator"][self.estimator])},
+        }
+        for name, value in {} if x is None else self.named(x).items():
+            put(data, f"estimator.{name}", value)
+        return replace(run, key=number - first, data=data, band_s=None)
+
+    def cost(self, x: np.ndarray) -> float:
+        """Mean of the metric over the runs at a point, which is flown once."""
+        x = np.clip(np.atleast_1d(np.asarray(x, float)), 0.0, 1.0)
+        if (key := tuple(x)) not in self.costs:
+            values = self.fly(range(self.plan.runs), x)
+            # A run that fails is as bad as an attitude can be: the search must not prefer settings that crash.
+            self.costs[key] = float(np.where(np.isfinite(values), values, 180.0).mean())
+            self.progress(len(self.costs))
+        return self.costs[key]
+
+    def named(self, x: np.ndarray) -> dict[str, float]:
+        """The settings at a point, by `estimator.setting`."""
+        return {f"{self.estimator}.{k.setting}": k.value(float(v)) for k, v in zip(self.knobs, x, strict=True)}
+
+
+def _minimise(cost: Callable[[np.ndarray], float], n: int, evaluations: int) -> None:
+    """Search the unit cube of n dimensions for the least cost."""
+    from scipy import optimize
+
+    if n == 1:
+        optimize.minimize_scalar(
+            lambda x: cost(np.array([x])), bounds=(0.0, 1.0), method="bounded",
+            options={"maxiter": evaluations, "xatol": 0.01},
+        )  # fmt: skip
+        return
+    simplex = np.full((n + 1, n), 0.35)
+    simplex[np.arange(n) + 1, np.arange(n)] = 0.75
+    optimize.minimize(
+        cost, simplex[0], method="Nelder-Mead", bounds=[(0.0, 1.0)] * n,
+        options={"maxfev": evaluations, "initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-4},
+    )  # fmt: skip

@@ -55,16 +55,54 @@ def build(suites: Mapping[str, Sequence[str]], estimators: Sequence[str]) -> dic
         suites: instruments (keys of `topics.INSTRUMENTS`) by suite.
         estimators: their names.
     """
-    panels: dict[str, Any] = {}
+    plots = _Plots(estimators)
+    attitude = [
+        plots.angles(axis, axis, axis, (f"{TRUTH_ATTITUDE.topic}.{axis}.@rad2deg", "truth"), topic="attitude")
+        for axis in _AXES
+    ]
+    errors = [plots.angles(f"{x}_error", f"{x} error", x) for x in (*_AXES, "tilt")]
+    sigmas = [plots.angles(f"{x}_sigma", f"{x}, one sigma", f"{x}_sigma") for x in _AXES]
+    tabs = [{"title": "Attitude", "layout": _stack(attitude)}, {"title": "Errors", "layout": _stack(errors)}]
+    tabs.append({"title": "Claimed σ", "layout": _stack(sigmas)})
+    for suite, instruments in suites.items():
+        tabs.append({"title": f"Sensors {suite}", "layout": _stack(plots.sensors(suite, instruments))})
+    with_errors = [suite for suite, instruments in suites.items() if "imu_errors" in instruments]
+    tabs.append({"title": "Biases", "layout": _stack([plots.biases(axis, with_errors) for axis in "xyz"])})
+    panels = plots.panels
+    panels["Tab!main"] = {"activeTabIdx": 0, "tabs": tabs}
+    panels["RawMessages!events"] = {"foxglovePanelTitle": "Events", "topicPath": "/events", "diffEnabled": False}
+    panels["3D!aircraft"] = _scene()
+    left = {"direction": "column", "first": "3D!aircraft", "second": "RawMessages!events", "splitPercentage": 75}
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": {"direction": "row", "first": left, "second": "Tab!main", "splitPercentage": 38},
+    }
+
+
+_AXES = ("roll", "pitch", "heading")
+
+
+class _Plots:
+    """Makes panels with plots; a method returns the name of the panel that it added."""
+
+    def __init__(self, estimators: Sequence[str]) -> None:
+        self.estimators = estimators
+        self.colors = _COLORS[: len(estimators)]
+        self.panels: dict[str, Any] = {}
 
     def plot(
+        self,
         key: str,
         title: str,
         paths: Iterable[tuple[str, str]],
         colors: Sequence[str] = _COLORS,
         limit: float | None = None,
     ) -> Node:
-        panels[f"Plot!{key}"] = {
+        """Plot fields of messages: paths and labels."""
+        self.panels[f"Plot!{key}"] = {
             "foxglovePanelTitle": title,
             "paths": [
                 {"value": value, "label": label, "enabled": True, "timestampMethod": "receiveTime", "color": color}
@@ -81,80 +119,38 @@ def build(suites: Mapping[str, Sequence[str]], estimators: Sequence[str]) -> dic
         } | ({"minYValue": -limit, "maxYValue": limit} if limit else {})
         return f"Plot!{key}"
 
-    def vectors(topic: str, field: str) -> list[tuple[str, str]]:
-        return [(f"{topic}.{field}.{axis}", axis) for axis in "xyz"]
+    def angles(self, key: str, title: str, field: str, *more: tuple[str, str], topic: str = "errors") -> Node:
+        """Plot an angle of all estimators, and `more`."""
+        paths = [(f"/est/{name}/{topic}.{field}.@rad2deg", name) for name in self.estimators]
+        return self.plot(key, f"{title}, deg", [*paths, *more], [*self.colors, "#888888"])
 
-    def angles(key: str, title: str, field: str, *more: tuple[str, str], topic: str = "errors") -> Node:
-        paths = [(f"/est/{name}/{topic}.{field}.@rad2deg", name) for name in estimators]
-        return plot(key, f"{title}, deg", [*paths, *more], [*_COLORS[: len(estimators)], "#888888"])
-
-    axes = ("roll", "pitch", "heading")
-    attitude = [
-        angles(axis, axis, axis, (f"{TRUTH_ATTITUDE.topic}.{axis}.@rad2deg", "truth"), topic="attitude")
-        for axis in axes
-    ]
-    tabs = [
-        {"title": "Attitude", "layout": _stack(attitude)},
-        {"title": "Errors", "layout": _stack([angles(f"{x}_error", f"{x} error", x) for x in (*axes, "tilt")])},
-        {"title": "Claimed σ", "layout": _stack([angles(f"{x}_sigma", f"{x}, one sigma", f"{x}_sigma") for x in axes])},
-    ]
-    for suite, instruments in suites.items():
-        sensors = {
-            "imu": [
-                ("gyro", "angular rate, rad/s", vectors(f"/{suite}/imu/data_raw", "angular_velocity")),
-                ("accel", "specific force, m/s²", vectors(f"/{suite}/imu/data_raw", "linear_acceleration")),
-            ],
-            "mag": [("mag", "magnetic field, T", vectors(f"/{suite}/imu/mag", "magnetic_field"))],
-            "velocity": [("velocity", "GNSS velocity (NED), m/s", vectors(f"/{suite}/gps/vel", "twist.linear"))],
-            "air": [
-                ("air", "airspeed, m/s", [(f"/{suite}/air/data.airspeed", suite), ("/truth/air.airspeed", "truth")])
-            ],
-        }
-        nodes = [
-            # Left alone, a plot in tesla shows a line of zeros.
-            plot(f"{suite}_{key}", f"{suite}: {title}", paths, limit=7e-5 if instrument == "mag" else None)
-            for instrument, plots in sensors.items()
-            if instrument in instruments
-            for key, title, paths in plots
+    def sensors(self, suite: str, instruments: Sequence[str]) -> list[Node]:
+        """Plot what the instruments of a suite measure."""
+        imu = f"/{suite}/imu/data_raw"
+        airspeed = [(f"/{suite}/air/data.airspeed", suite), ("/truth/air.airspeed", "truth")]
+        known = [
+            ("imu", "gyro", "angular rate, rad/s", _vectors(imu, "angular_velocity")),
+            ("imu", "accel", "specific force, m/s²", _vectors(imu, "linear_acceleration")),
+            ("mag", "mag", "magnetic field, T", _vectors(f"/{suite}/imu/mag", "magnetic_field")),
+            ("velocity", "velocity", "GNSS velocity (NED), m/s", _vectors(f"/{suite}/gps/vel", "twist.linear")),
+            ("air", "air", "airspeed, m/s", airspeed),
         ]
-        tabs.append({"title": f"Sensors {suite}", "layout": _stack(nodes)})
-    biases = [
-        plot(
-            f"bias_{axis}",
-            f"gyro bias {axis}, rad/s",
-            [
-                *((f"/est/{name}/biases.gyro_bias.{axis}", name) for name in estimators),
-                *(
-                    (f"/{s}/imu/errors.gyro_effective_bias.{axis}", f"{s} truth")
-                    for s in suites
-                    if "imu_errors" in suites[s]
-                ),
-            ],
-            [*_COLORS[: len(estimators)], "#888888", "#bbbbbb"],
-        )
-        for axis in "xyz"
-    ]
-    tabs.append({"title": "Biases", "layout": _stack(biases)})
-    panels["Tab!main"] = {"activeTabIdx": 0, "tabs": tabs}
-    panels["RawMessages!events"] = {"foxglovePanelTitle": "Events", "topicPath": "/events", "diffEnabled": False}
-    panels["3D!aircraft"] = _scene()
-    return {
-        "configById": panels,
-        "globalVariables": {},
-        "userNodes": {},
-        "playbackConfig": {"speed": 1},
-        "layout": {
-            "direction": "row",
-            "first": {
-                "direction": "column",
-                "first": "3D!aircraft",
-                "second": "RawMessages!events",
-                "splitPercentage": 75,
-            },
-            "second": "Tab!main",
-            "splitPercentage": 38,
-        },
-    }
+        return [
+            # Left alone, a plot in tesla shows a line of zeros.
+            self.plot(f"{suite}_{key}", f"{suite}: {title}", paths, limit=7e-5 if instrument == "mag" else None)
+            for instrument, key, title, paths in known
+            if instrument in instruments
+        ]
+
+    def biases(self, axis: str, suites: Iterable[str]) -> Node:
+        """Plot the gyro bias of all estimators, and the true one of these suites."""
+        paths = [(f"/est/{name}/biases.gyro_bias.{axis}", name) for name in self.estimators]
+        paths += [(f"/{suite}/imu/errors.gyro_effective_bias.{axis}", f"{suite} truth") for suite in suites]
+        return self.plot(f"bias_{axis}", f"gyro bias {axis}, rad/s", paths, [*self.colors, "#888888", "#bbbbbb"])
+
+
+def _vectors(topic: str, field: str) -> list[tuple[str, str]]:
+    return [(f"{topic}.{field}.{axis}", axis) for axis in "xyz"]
 
 
 def _stack(nodes: list[Node]) -> Node:
