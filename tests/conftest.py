@@ -2,6 +2,8 @@
 
 import contextlib
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from typing import Any
@@ -24,6 +26,20 @@ LONGEST = (
     "test_disks.py",
 )
 """Files that take the longest, in this order."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile the catalogue before the workers begin, when all tests run: each would compile most of it for itself."""
+    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    if whole and getattr(config.option, "numprocesses", None) and not config.option.collectonly:
+        subprocess.run([sys.executable, "-c", COMPILE], check=True)
+
+
+COMPILE = """
+import estimators
+methods = [(method.name, {}) for method in estimators.describe() if method.own]
+estimators.prepare(methods, lambda name, number, count: print(f"compiling {name}, {number} of {count}", flush=True))
+"""
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

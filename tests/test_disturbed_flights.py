@@ -20,6 +20,7 @@ def flown(name: str, settings: dict[str, str] | None = None) -> Accuracy:
     return accuracy
 
 
+@pytest.mark.long
 def test_a_disturbed_field_is_refused() -> None:
     """A current in the aircraft, 13 uT from the side: the norm changes by 4 %, the needle by 29 deg."""
     accuracy = flown("mag_disturbance")

@@ -98,6 +98,7 @@ def test_a_process_of_its_own_flies_the_same(short: Short, tmp_path: Path) -> No
     assert short[0].read_bytes() == here.read_bytes()
 
 
+@pytest.mark.long
 def test_one_sample_blocks_are_the_same_code(tmp_path: Path) -> None:
     """The closed loop works sample by sample; flying on the truth that way changes nothing."""
     logs, scene = [tmp_path / "open.mcap", tmp_path / "sample.mcap"], tmp_path / "soon.toml"
@@ -172,6 +173,7 @@ def test_kill_and_recover(short: Short, tmp_path: Path) -> None:
     assert a[:n].tobytes() == b[:n].tobytes()
 
 
+@pytest.mark.long
 def test_interrupt_closes_the_log(tmp_path: Path) -> None:
     log, part = tmp_path / "i.mcap", tmp_path / "i.mcap.part"
     process = subprocess.Popen(

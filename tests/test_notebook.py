@@ -39,6 +39,7 @@ def _printed(capsys: pytest.CaptureFixture[str], *command: str) -> dict:
     return found
 
 
+@pytest.mark.long
 def test_fly_replay_and_compare_give_what_the_commands_give(
     log: LogFrames, scenario: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -118,6 +119,7 @@ def test_unknown_names_are_one_line(log: LogFrames, tmp_path: Path) -> None:
         ahrs_sim.read_campaign(tmp_path)
 
 
+@pytest.mark.long
 def test_a_campaign_as_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, out = tmp_path / "sway.toml", tmp_path / "out"
     path.write_text(

@@ -221,6 +221,7 @@ def test_a_sustained_turn_fools_it_unless_it_knows_the_airspeed(name):
     assert tilt["gnss"] < 2.0
 
 
+@pytest.mark.long
 def test_without_jit_the_numbers_are_the_same(tmp_path):
     code = (
         "import sys; sys.path[:0] = sys.argv[2:]\n"

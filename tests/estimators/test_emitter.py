@@ -147,6 +147,7 @@ def looks(n=80, **noise):
 COARSE = math.atan2(80, 60) + 0.06
 
 
+@pytest.mark.long
 def test_locates():
     fixes = EmitterLocator(coarse_bearing=COARSE, every=1).process(looks())
     assert np.hypot(*(fixes.position[-1] - TARGET)) < 2e3

@@ -96,6 +96,7 @@ def test_ins21_knows_how_far_off_it_is(figures, suite, quantity):
     assert least < mean < 2.0, (quantity, [row[quantity] for row in figures[suite]])
 
 
+@pytest.mark.long
 def test_a_delay_that_nobody_declared_is_learnt():
     """Fixes 0.3 s late whose stamps do not say so: errors less than twice those with stamps that do."""
     late = {"grade": "chr_6dm", "gnss": {"latency_ms": 300.0, "undeclared_ms": 300.0}}
@@ -133,6 +134,7 @@ def hover():
     return place, truth, info, samples
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["ins21", "ins-cal"])
 def test_a_magnetometer_that_is_simply_wrong_costs_no_more_than_none(turned, name):
     """60 degrees off from the start: given up in the take-off run; errors at most 1.5 times those without any."""

@@ -198,6 +198,7 @@ def compiled(kernel):
     return numba.njit(kernel)
 
 
+@pytest.mark.long
 def test_smoother_of_a_linear_model_is_that_of_rauch_tung_and_striebel():
     """Random transitions and measurements through the filter's own kernels; dense matrices and inverses beside them."""
     rng = np.random.default_rng(5)

@@ -39,6 +39,7 @@ def same(a: Truth, b: Truth) -> bool:
     return all(getattr(a, f.name).tobytes() == getattr(b, f.name).tobytes() for f in dataclasses.fields(a))
 
 
+@pytest.mark.long
 def test_circuit_is_an_ordinary_flight(circuit):
     truth = circuit.truth
     assert 560.0 < truth.t[-1] < 700.0

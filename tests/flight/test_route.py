@@ -80,6 +80,7 @@ def test_survey_follows_its_lines_over_their_whole_length():
             assert np.any(on & (np.abs(east - x) < 10.0)), (line, x)
 
 
+@pytest.mark.long
 def test_random_flight_stays_within_its_limits_and_follows_its_seed():
     table = {"do": "random", "for_s": 400.0, "bank_deg": 40.0, "low_m": 80.0, "high_m": 180.0, "within_m": 1500.0}
     first = fly(table, seed=3)
@@ -95,6 +96,7 @@ def test_random_flight_stays_within_its_limits_and_follows_its_seed():
     assert not np.array_equal(other.truth.q_nb[:n], again.truth.q_nb[:n])
 
 
+@pytest.mark.long
 def test_random_flight_of_another_aircraft():
     start = {**AIR, "height_m": 3000.0}
     start.pop("airspeed_mps")

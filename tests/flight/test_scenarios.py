@@ -20,11 +20,12 @@ def test_every_scenario_opens_and_begins(name):
 
 
 FLOWN = [n for n in NAMES if not n.startswith("closed_loop")]  # which need an estimator
-ONCE = "airfield"  # in test_any_aircraft
+# Seed 4 here, for `ahrs-sim check` flies them with others; of "airfield", which test_any_aircraft flies, not more.
+SEEDS = [(n, 4) for n in FLOWN] + [pytest.param(n, 1, marks=pytest.mark.exhaustive) for n in FLOWN if n != "airfield"]
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("name", "seed"), [(n, seed) for n in FLOWN for seed in ((4,) if n == ONCE else (1, 4))])
+@pytest.mark.parametrize(("name", "seed"), SEEDS)
 def test_every_scenario_completes(name, seed, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     flown = Flown(scenario.load(name, seed=seed))

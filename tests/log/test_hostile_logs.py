@@ -76,7 +76,7 @@ TRUTH = {
     ],
     ids=["array", "arrays", "negative", "digits", "deep", "wide", "circle"],
 )
-def test_definitions_are_not_believed(text: str, words: str) -> None:
+def test_definitions_are_not_trusted(text: str, words: str) -> None:
     with pytest.raises(CdrError, match=words):
         parse_definitions("p/msg/M", text)
 

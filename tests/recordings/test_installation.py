@@ -113,6 +113,7 @@ def test_without_gnss_only_the_magnetometer_is_found() -> None:
     assert any(line.startswith("GNSS: no velocity: not observable") for line in out.lines)
 
 
+@pytest.mark.long
 def test_the_command_finds_it_in_a_file(tmp_path: File, capsys: pytest.CaptureFixture[str]) -> None:
     """From a recording on disk to the lines of a map: calibration and checks lie between."""
     p = planted(0)

@@ -52,6 +52,7 @@ def test_own_log_gives_the_same_bytes(flown: Path, tmp_path: Path) -> None:
         assert messages(flown, topic) == messages(out, topic), topic
 
 
+@pytest.mark.long
 def test_a_flight_with_smoothed_estimates_which_are_a_reference(tmp_path: Path, capsys: Any) -> None:
     out = tmp_path / "out.mcap"
     asked = ["fly", "circuit", "--duration", "100", "--estimator", "ins-cal@chr", "-o", str(out), "--json"]

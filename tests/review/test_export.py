@@ -104,6 +104,7 @@ def test_layout_shows_what_is_in_the_log(flown: Path, tmp_path: Path) -> None:
                     dtype = dtype[field]
 
 
+@pytest.mark.long
 def test_examples_of_the_documentation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib").use("agg")
     plt = pytest.importorskip("matplotlib.pyplot")

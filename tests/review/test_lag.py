@@ -67,6 +67,7 @@ def test_without_motion_it_cannot_be_told():
     assert all(map(math.isnan, lag.lags(t, motion(t), 0.5 * np.random.default_rng(4).standard_normal((len(t), 3)))))
 
 
+@pytest.mark.long
 def test_the_command_shows_it(tmp_path, capsys):
     log = tmp_path / "flight.mcap"
     options = ["--estimator", "marg-ckf@sbg", "--estimator", "sekf@chr", "--duration", "110", "--quiet"]

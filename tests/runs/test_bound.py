@@ -118,6 +118,7 @@ def test_command(capsys):
         bound.make(scenario.load("takeoff"), "none")
 
 
+@pytest.mark.long
 def test_calibrate_shows_more_than_turns_of_as_long() -> None:
     """Bound of tilt and heading on a plain flight afterwards; the goal's 0.3 deg of tilt is below what any shows."""
     after = [{"do": "turn", "bank_deg": 30.0, "for_s": 20.0}, {"do": "turn", "bank_deg": -30.0, "for_s": 20.0}]

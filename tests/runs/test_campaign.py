@@ -284,6 +284,7 @@ def _die_once(run: Run) -> Outcome:
     return Outcome(run.key)
 
 
+@pytest.mark.long
 def test_dead_workers_take_no_run_with_them(tmp_path: Path) -> None:
     with runs.local_pool(2) as pool:
         made = (Run(k, "", "", {"folder": str(tmp_path)}) for k in range(8))

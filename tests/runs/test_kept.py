@@ -15,6 +15,7 @@ def run(**settings) -> Run:
     return Run(0, known.name, known.where, {**known.data, "estimator": estimator})
 
 
+@pytest.mark.long
 def test_figures_are_those_of_a_flight_and_it_is_flown_once(monkeypatch):
     flown = []
     once = kept._flown

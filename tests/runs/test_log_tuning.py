@@ -84,6 +84,7 @@ def test_planted_noises_are_found(flown):
     assert abs(found.nis_after - 1.0) < abs(found.nis_before - 1.0)
 
 
+@pytest.mark.long
 def test_errors_against_a_reference_fall(flown):
     found = tune(flown, ["gyro_noise=1e-4..0.1", "velocity_share=0.01..1"], log_tuning.ERROR)
     assert found.after < found.before

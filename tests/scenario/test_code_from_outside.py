@@ -180,6 +180,7 @@ def test_a_run_of_a_campaign_runs_nothing_that_its_manifest_names(
         allowed([*command, "--allow-code", "stranger"], stranger, capsys)
 
 
+@pytest.mark.long
 def test_a_campaign_of_ones_own_file_runs_its_class_in_the_workers(
     tmp_path: Path, stranger: Callable[[], bool], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -155,9 +155,9 @@ def through_ubx(folder: Path) -> Estimates:
     [
         ("mavlink", "pty", 1e-3),
         pytest.param("mavlink", "tcp:0", 1e-3, marks=pytest.mark.long),
-        ("vectornav", "pty", 1e-3),
-        ("sbg", "pty", 1e-3),
-        ("ubx+nmea", "pty", 1e-3),
+        pytest.param("vectornav", "pty", 1e-3, marks=pytest.mark.long),
+        pytest.param("sbg", "pty", 1e-3, marks=pytest.mark.long),
+        pytest.param("ubx+nmea", "pty", 1e-3, marks=pytest.mark.long),
     ],
 )
 def test_a_unit_on_the_wire_has_the_figures_of_the_same_estimator_in_process(
@@ -249,7 +249,7 @@ def test_names_and_suites_that_do_not_fit_are_one_line(capsys: pytest.CaptureFix
     assert "an estimator of the scenario has this name" in lines[1] and "a letter first" in lines[2]
 
 
-@pytest.mark.parametrize("serial", ["pty", "tcp:0"])
+@pytest.mark.parametrize("serial", ["pty", pytest.param("tcp:0", marks=pytest.mark.long)])
 def test_a_link_that_is_lost_ends_the_flight_with_a_complete_log(tmp_path: Path, serial: str) -> None:
     path, log = prepare(tmp_path, "mavlink"), tmp_path / "x.mcap"
     options = ["--serial", serial, "--protocol", "mavlink", "--rate", "4", "-o", str(log)]
@@ -268,6 +268,7 @@ def test_a_link_that_is_lost_ends_the_flight_with_a_complete_log(tmp_path: Path,
         assert any(e.level == "error" and "link lost" in e.text for e in reader.events())
 
 
+@pytest.mark.long
 def test_a_serial_device(tmp_path: Path) -> None:
     path, (ours, theirs) = prepare(tmp_path, "sbg"), os.openpty()
     device = os.ttyname(theirs)
@@ -284,6 +285,7 @@ def test_a_serial_device(tmp_path: Path) -> None:
     assert json.loads(out)["timing"]["answers"] > 200
 
 
+@pytest.mark.long
 def test_a_device_that_is_too_slow_is_one_line(tmp_path: Path) -> None:
     path, (ours, theirs) = prepare(tmp_path, "sbg"), os.openpty()
     os.set_blocking(ours, False)
@@ -300,6 +302,7 @@ def test_a_device_that_is_too_slow_is_one_line(tmp_path: Path) -> None:
     assert "the stream takes more than 38400 baud; use a faster one, or a lower rate_hz" in err
 
 
+@pytest.mark.long
 def test_the_log_gives_the_figures_that_were_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     printed = fly_with_unit(tmp_path, "vectornav", "pty")["estimators"]
     assert cli.main(["compare", str(tmp_path / "x.mcap"), "--json"]) == 0

@@ -57,6 +57,7 @@ def test_px4_in_lockstep_has_the_figures_of_the_same_estimator_in_process(tmp_pa
     assert differences(tmp_path / "x.mcap", name="px4").max() < 1e-3
 
 
+@pytest.mark.long
 def test_ardupilot_gets_the_flight_and_its_attitude_has_the_right_time(tmp_path: Path) -> None:
     result = fly(tmp_path, "ardupilot", free(socket.SOCK_STREAM))
     timing = result["timing"]
@@ -107,6 +108,7 @@ def test_a_port_in_use_is_one_line(
     assert re.fullmatch(rf"ahrs-sim: {option} (tcp:)?{port}: Address already in use; choose another port\n", line)
 
 
+@pytest.mark.long
 def test_px4_that_leaves_ends_the_flight_with_a_complete_log(tmp_path: Path) -> None:
     path = prepare(tmp_path, "mavlink")
     options = ["--simulator", "px4", "--port", "0", "--mavlink", "0", "-o", str(tmp_path / "x.mcap")]
