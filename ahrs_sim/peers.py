@@ -16,7 +16,7 @@ defaults. They disagree on every convention; this is what each takes and gives:
 
 The declination is applied here, once, to those that know magnetic north only, and to the heading of the last two: that
 of the field, levelled by the specific force. Those two take the velocity of GNSS, too (`aiding = "gnss"`), and the
-field is then levelled by their own tilt; without it they believe, as their packages do, in a velocity of 0 +- 10 m/s.
+field is then levelled by their own tilt; without it they assume, as their packages do, a velocity of 0 +- 10 m/s.
 
 Limits, the same for all: a peer starts with the first row that has gyro, accelerometer and magnetometer; a slower
 magnetometer is used as latched. A row whose gyro or accelerometer is missing, or whose time stamp does not advance,

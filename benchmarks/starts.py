@@ -228,11 +228,11 @@ def table(now: dict[str, dict[str, float]], before: dict[str, dict[str, float]])
 
     def cell(key: str, what: str, shape: Callable[[float], str]) -> str:
         value = now[key][what]
-        told = shape(value) if math.isfinite(value) else "none"
+        text = shape(value) if math.isfinite(value) else "none"
         if key not in before:
-            return told
+            return text
         old = before[key][what]
-        return f"{told} ({shape(old) if math.isfinite(old) else 'none'})"
+        return f"{text} ({shape(old) if math.isfinite(old) else 'none'})"
 
     head = (
         "start",

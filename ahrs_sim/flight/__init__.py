@@ -23,7 +23,7 @@ class Flight(Protocol):
     error: str | None
     """Why the flight ended before its scenario did: crash, time-out, numbers out of bounds."""
     expected_duration: float | None
-    """s, about; None when nobody knows."""
+    """s, about; None when it is not known."""
 
     def fly(self, n: int) -> Truth:
         """Fly the next up to `n` rows, from t = 0 on; fewer when the flight ends, none when it is over."""

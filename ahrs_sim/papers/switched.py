@@ -41,7 +41,7 @@ _MAX = (
     "far. That it is thrown in every bend, and the switched one is not, does not depend on it."
 )
 _DRIVE = (
-    "The paper's plain EKF errs by 4 deg at most. Believing the accelerometer fully that is 0.69 m/s2, in the bends of "
+    "The paper's plain EKF errs by 4 deg at most. Trusting the accelerometer fully that is 0.69 m/s2, in the bends of "
     "a running track (radius 36.5 m) a speed of 5 m/s. So it was driven; the bias is taken at rest, median of the "
     "drives. The paper had one drive and one unit: the row below has the range of ours, which differ by their units' "
     "errors. Roll and the largest error are the paper's; the pitch is above it on every drive and is not reproduced."

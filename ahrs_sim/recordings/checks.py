@@ -1,7 +1,7 @@
 """What in a recording contradicts the conventions assumed, a line each: units, axes, signs, delays.
 
 A line names a cause only when the data single it out: the wrong assumption fits badly, one other fits well, and no
-third comes near. Where motion is too little to tell, nothing is said.
+third comes near. With too little motion to tell there is no line.
 """
 
 import math

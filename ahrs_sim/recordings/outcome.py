@@ -12,17 +12,17 @@ from estimators.alignment import MOVING_S
 from estimators.types import Estimates
 
 SETTLED_S = 30.0
-"""After the first attitude a filter is still learning: innovations are not looked at."""
+"""Innovations of this time after the first attitude are left out: the filter still converges."""
 
 LEAST_S = 20
-"""Seconds with innovations from which on something is said of them."""
+"""Least seconds with innovations for a finding about them."""
 
 LOW, HIGH = 0.02, 4.0
-"""NIS per degree of freedom, in the median over the seconds, within which nothing is said; below only of a velocity:
-what a filter does not believe to be independent from one time to the next it takes with a larger sigma."""
+"""Limits of NIS per degree of freedom, median over the seconds, outside of which it is a finding. The lower one holds
+for a velocity only: filters take measurements whose errors are correlated in time with a larger sigma on purpose."""
 
 GIVEN_UP = 0.2
-"""Share of the rows for which a sensor may be given up before it is said."""
+"""Share of the rows for which a sensor may be given up without a finding."""
 
 _NAMES = {
     "vel_n": ("GNSS velocity", "gnss_vel"),

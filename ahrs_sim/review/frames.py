@@ -1,7 +1,7 @@
-"""Logs, accuracies and campaigns as pandas frames: what `ahrs_sim.read_log`, `fly`, `compare`... return.
+"""Logs, accuracies and campaigns as pandas frames, which `ahrs_sim.read_log`, `fly`, `compare`... return.
 
-Every frame has the units of its columns in `attrs["units"]`. Angles are in degrees, times in seconds of flight. What is
-asked of all estimators at once has one index, the times of the logged truth.
+Every frame has the units of its columns in `attrs["units"]`. Angles are in degrees, times in seconds of flight. Frames
+of all estimators together have one index, the times of the logged truth.
 """
 
 import html
@@ -29,15 +29,15 @@ _TRUTH = {**_ANGLES, "north": "m", "east": "m", "height": "m", "airspeed": "m/s"
 
 
 class LogFrames(Mapping[str, pandas.DataFrame]):
-    """A log as frames by topic, each read when it is asked for; index `t`, s of flight.
+    """Maps the topics of a log to frames with index `t`, s of flight, each read on first use.
 
     Also `truth`, `estimates`, `errors` and `accuracy`; `metadata`, `events`, `estimators`. Closes as a context manager
     or by `close`.
 
     Args:
         path: the log.
-        notes: what the user should know of how it was made.
-        folder: a temporary one that the log lies in and that goes with this object.
+        notes: remarks of the command that made it, a line each.
+        folder: temporary folder of the log, removed with this object.
 
     Raises:
         InputError: not a log.
@@ -80,7 +80,7 @@ class LogFrames(Mapping[str, pandas.DataFrame]):
         return f"{name}: {(last - first) / 1e9:.1f} s, {len(self)} topics, estimators: {named}"
 
     def close(self) -> None:
-        """Close the file; a temporary one goes."""
+        """Close the file, and remove its temporary folder if it has one."""
         self._log.close()
         if self._folder is not None:
             self._folder.cleanup()
@@ -95,12 +95,12 @@ class LogFrames(Mapping[str, pandas.DataFrame]):
 
     @property
     def estimators(self) -> list[str]:
-        """Names of the estimators."""
+        """List the names of the estimators."""
         return self._log.estimators
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Seeds, versions, specifications and settings by record."""
+        """Return seeds, versions, specifications and settings, by metadata record."""
         return self._log.metadata
 
     @property
@@ -109,7 +109,7 @@ class LogFrames(Mapping[str, pandas.DataFrame]):
         return self["/events"][["level", "name", "text"]]
 
     def truth(self) -> pandas.DataFrame:
-        """Roll, pitch and heading in deg, north, east and height in m, airspeed in m/s, on_ground and phase."""
+        """Read roll, pitch, heading (deg), north, east, height (m), airspeed (m/s), on_ground and phase."""
         from ahrs_sim.world import wgs84
 
         truth = self._log.truth()
@@ -132,7 +132,7 @@ class LogFrames(Mapping[str, pandas.DataFrame]):
         return _with_units(frame, _TRUTH)
 
     def estimates(self, name: str | None = None) -> pandas.DataFrame:
-        """Roll, pitch and heading in deg, gyro biases in deg/s, status.
+        """Make the frame of estimates: roll, pitch and heading (deg), gyro biases (deg/s), status.
 
         Args:
             name: of an estimator; None: all, with columns (estimator, quantity) at the times of `truth`.
@@ -149,7 +149,7 @@ class LogFrames(Mapping[str, pandas.DataFrame]):
         return _with_units(frame, {**_ANGLES, **_BIASES})
 
     def errors(self, name: str | None = None) -> pandas.DataFrame:
-        """Errors against the truth in deg: roll, pitch, heading, tilt, total.
+        """Compute errors against the truth, deg: roll, pitch, heading, tilt, total.
 
         Args:
             name: of an estimator; None: all, with columns (estimator, measure) at the times of `truth`.
@@ -174,7 +174,7 @@ class LogFrames(Mapping[str, pandas.DataFrame]):
         return name
 
     def _together(self, one: Any) -> pandas.DataFrame:
-        """Frames of all estimators, each row that of the nearest sample, at most half its period away."""
+        """Join the frames of all estimators at the times of the truth: the nearest sample, within half a period."""
         t = self._log.truth().t
         frames = {name: one(name) for name in self.estimators}
         found = {name: _nearest_rows(frame, t) for name, frame in frames.items()}
@@ -236,7 +236,7 @@ class AccuracyTable(Mapping[str, Any]):
 
     @property
     def frame(self) -> pandas.DataFrame:
-        """Every figure: a row an estimator and phase (`all`: the whole flight), NaN where it is not known."""
+        """Return every figure, a row per estimator and phase (`all`: the whole flight); unknown ones are NaN."""
         rows = {
             (name, phase): {k: v for k, v in cells.items() if not isinstance(v, dict | list)}
             for name, values in self["estimators"].items()
@@ -247,10 +247,10 @@ class AccuracyTable(Mapping[str, Any]):
 
     @property
     def paired(self) -> pandas.DataFrame:
-        """Differences from the estimator of `against`, a row an estimator, phase and measure.
+        """Return the differences from the estimator `against`, a row per estimator, phase and measure.
 
         Raises:
-            InputError: compared without `against`.
+            InputError: the comparison was made without `against`.
         """
         if "paired" not in self._result:
             raise InputError("compare: no pairs without against=NAME; name an estimator of the log")
@@ -268,7 +268,7 @@ _Differences = dict[tuple[str, ...], Mapping[str, Any]]
 
 
 def _differences(rows: _Differences, names: list[str]) -> pandas.DataFrame:
-    """A frame of `paired.Difference.plain`."""
+    """Make a frame of the dictionaries of `paired.Difference.plain`."""
     columns = ["change", "low", "high", "smaller", "pairs", "result"]
     frame = pandas.DataFrame(list(rows.values()), columns=columns)
     frame.index = pandas.MultiIndex.from_tuples(rows, names=names)
@@ -281,7 +281,7 @@ def _degrees(frame: pandas.DataFrame) -> tuple[pandas.DataFrame, dict[Any, str]]
 
 
 class CampaignFrames:
-    """A campaign as frames: `runs`, `bands`, `paired`; shows itself as its report.
+    """Reads a campaign as frames: `runs`, `bands`, `paired`; prints as its report.
 
     Args:
         place: folder or fsspec address.
@@ -298,21 +298,21 @@ class CampaignFrames:
 
     @property
     def plan(self) -> "Plan":
-        """Scenario, seed, number of runs and what is varied."""
+        """Return scenario, seed, number of runs and varied values."""
         return self._store.plan()
 
     @property
     def runs(self) -> pandas.DataFrame:
-        """A row per run and estimator, the columns of docs/regression.md; a failed run has an error instead."""
+        """Read a row per run and estimator with the columns of docs/regression.md; a failed run has its error."""
         columns = [c for c in self._store.column_names() if not c.startswith("bands.")]
         frame = self._store.table(columns).to_pandas()
         return _with_units(*_degrees(frame))
 
     def bands(self, measure: str = "tilt") -> pandas.DataFrame:
-        """RMS errors (deg) over time: index `t`, the beginning of each band in s; columns (estimator, run).
+        """Read RMS errors (deg) over time: index `t`, the start of each band in s; columns (estimator, run).
 
         Raises:
-            InputError: there is none of this measure.
+            InputError: no bands of this measure.
         """
         column = f"bands.{measure}"
         if column not in (names := self._store.column_names()):
@@ -325,7 +325,7 @@ class CampaignFrames:
         return _with_units(frame, dict.fromkeys(frame.columns, "deg"))
 
     def paired(self, against: str, metric: str = "tilt_rmse_deg") -> pandas.DataFrame:
-        """Differences of a figure from that of another estimator in the same runs, a row an estimator and figure.
+        """Compute differences of a figure from another estimator's in the same runs, a row per estimator and figure.
 
         Raises:
             InputError: no such estimator.

@@ -11,7 +11,7 @@ A grade is a TOML file in `grades/`:
 
 The unit is the end of the key, one of those of the figure's kind (`dps_rthz` or `dph_rthz`: the same figure). A vector
 has one number per axis; one number stands for all axes. A scenario overrides figures in dotted tables of the suite,
-where a bare number will do: `gyro.noise_density_dps_rthz = 0.05`. What nobody states is zero, that is, absent.
+where a bare number will do: `gyro.noise_density_dps_rthz = 0.05`. A figure that is not stated is zero, that is, absent.
 
 Grades of parts make one of a suite: `grade = "bmi088 + rm3100 + zed_f9p"`; what a later one states replaces what an
 earlier one does.

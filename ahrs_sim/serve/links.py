@@ -31,7 +31,7 @@ class Link:
 
     Args:
         name: for messages.
-        fd: of the open wire; -1: nobody is there yet.
+        fd: of the open wire; -1: not connected yet.
     """
 
     baud: int | None = None

@@ -32,7 +32,7 @@ class Unit:
     Args:
         name: of its estimates in the log.
         suite: whose sensors it sees.
-        link: open, nobody there yet.
+        link: open, not connected yet.
         protocol: what both speak.
         rate: seconds of flight a second.
         stopped: true ends all waiting.

@@ -252,7 +252,7 @@ class LogFile:
                         at, whole, item.log_time, item.create_time, len(item.data), item.name, item.media_type
                     )
                 )
-            elif length > _PIECE:  # what nobody knows is not loaded with the messages around it
+            elif length > _PIECE:  # an unknown record is not loaded with the messages around it
                 close_run(at)
                 run_start, run_messages = at + whole, False
             at, before = at + whole, (opcode, length)

@@ -191,13 +191,13 @@ class Held:
 
 
 class BinaryLog(Held):
-    """A log of an autopilot: damage leaves stamps that are anything, and bytes that belong to no message."""
+    """A log of an autopilot, in which damage leaves random stamps and bytes that belong to no message."""
 
     left_out = 0  # messages so far whose time is not that of those around them
 
     def _in_time(self, made: Columns, sane: np.ndarray | None = None) -> Columns:
-        """Pick the rows whose time can be, of the longest stretch without a step back of the clock."""
-        good = believable(made.ns) if sane is None else believable(made.ns) & sane
+        """Pick the rows with a plausible time, of the longest stretch without a step back of the clock."""
+        good = near_in_time(made.ns) if sane is None else near_in_time(made.ns) & sane
         made = made if good.all() else made.picked(np.flatnonzero(good))
         part, steps = longest_part(made.ns)
         self.left_out += len(good) - (part.stop - part.start)
@@ -239,7 +239,7 @@ def longest_part(ns: np.ndarray) -> tuple[slice, int]:
     return slice(int(bounds[k]), int(bounds[k + 1])), len(edges)
 
 
-def believable(ns: np.ndarray) -> np.ndarray:
+def near_in_time(ns: np.ndarray) -> np.ndarray:
     """Mask rows (n,) whose time agrees with that of their neighbours: in a damaged file stamps are random."""
     if len(ns) < 5 or (np.abs(np.diff(ns.astype(float))) < 60e9).all():
         return np.ones(len(ns), bool)

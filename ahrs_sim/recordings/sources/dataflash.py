@@ -26,10 +26,10 @@ from ahrs_sim.recordings.sources.base import (
     VELOCITY,
     BinaryLog,
     Columns,
-    believable,
     from_gps,
     gathered,
     longest_part,
+    near_in_time,
     numbered,
 )
 
@@ -139,7 +139,7 @@ class Messages:
         clock = self._gathered(timed[name], np.dtype([("head", "u1", 3), ("TimeUS", "<u8")]))["TimeUS"]
         good = np.flatnonzero(clock < _LONGEST_US)
         ns = clock[good].astype(np.int64) * 1000
-        near = believable(ns)
+        near = near_in_time(ns)
         offsets = self._offsets[self._rows[timed[name]]][good[near]]
         part, steps = longest_part(ns[near])
         if not steps:

@@ -1,4 +1,4 @@
-"""One table of text: its encoding, header, separator, decimal sign and units, found where they are not given."""
+"""Reads a text table: finds encoding, header, separator, decimal sign and units where the map does not give them."""
 
 import csv
 import io
@@ -26,7 +26,7 @@ _SPELT = {
     "ms^-1": "m/s", "ft": "ft", "feet": "ft", "kt": "kt", "kts": "kt", "knots": "kt",
     "hpa": "hPa", "pa": "Pa", "pascal": "Pa", "mbar": "mbar", "kpa": "kPa", "km/h": "km/h",
 }  # fmt: skip
-"""Units as headers spell them, in small letters without blanks, dots and stars."""
+"""Unit by its spelling in a header, in lower case without blanks, dots and asterisks."""
 
 _BRACKETS = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 _SEPARATORS = (",", ";", "\t", "|")
@@ -37,17 +37,17 @@ ISO_DATE = re.compile(r"^\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
 
 @dataclass
 class TextTable:
-    """One file, read."""
+    """Holds the contents of one file, and what the user should know about them."""
 
     path: Path
     frame: Any  # pandas
-    units: list[str]  # by column, "" where the header says nothing
-    first_row: int  # line of the first data row, from 1
-    unknown: list[str] = field(default_factory=list)  # by column, what stands for a unit in the header and is none here
-    notes: list[str] = field(default_factory=list)
+    units: list[str]  # by column; "" where the header has none
+    first_row: int  # line number of the first data row, from 1
+    unknown: list[str] = field(default_factory=list)  # by column, the header's unit where it is not one of ours
+    notes: list[str] = field(default_factory=list)  # a line each for the user
 
     def place(self, name: str) -> int:
-        """Index of a column; -1: there is none."""
+        """Find the index of a column by its name, by `*ENDING` or by alternatives `A|B`; -1 when there is none."""
         names = [str(c) for c in self.frame.columns]
         for one in name.split("|") if name not in names else [name]:
             if one in names:
@@ -61,7 +61,7 @@ class TextTable:
         return -1
 
     def unit(self, name: str, fallback: str) -> str:
-        """Find the unit of a column in the header; `fallback` without one, noted where the header has another."""
+        """Find the unit of a column in the header; without a known one take `fallback`, and note an unknown one."""
         i = self.place(name)
         if i >= 0 and self.units[i]:
             return self.units[i]
@@ -73,7 +73,11 @@ class TextTable:
         return fallback
 
     def numbers(self, name: str, table: Table, key: str = "columns") -> np.ndarray:
-        """A column (n,) as numbers, NaN where there is none; what is no number is counted."""
+        """Convert a column to numbers (n,), NaN for empty cells and for text, which is counted in a note.
+
+        Raises:
+            InputError: no such column, or no cell of it is a number.
+        """
         import pandas
 
         i = self.place(name)
@@ -98,7 +102,7 @@ class TextTable:
         return f"row {self.first_row + i}: '{str(column.iloc[i])[:40]}'"
 
     def no_number(self, column: Any, i: int) -> str:
-        """A line for a value that should be a number."""
+        """Describe a cell that should hold a number, for messages."""
         return f"no number in {self.cell(column, i)}"
 
 
@@ -107,15 +111,15 @@ def _plain(name: str) -> str:
 
 
 def read_file(path: Path, keys: Mapping[str, Any], where: str) -> TextTable:
-    """Read a table of text, whatever stands before its header and however it separates its columns.
+    """Read a text table with any separator and any lines above its header.
 
     Args:
         path: the file.
-        keys: what the map says: separator, decimal, encoding, comment, skip_rows.
-        where: of the map, for messages.
+        keys: of the map's `[csv]`: separator, decimal, encoding, comment, skip_rows.
+        where: name of the map, for messages.
 
     Raises:
-        InputError: it cannot be read, or there is no table in it.
+        InputError: the file cannot be read, or holds no table.
     """
     import pandas
 
@@ -153,7 +157,7 @@ def read_file(path: Path, keys: Mapping[str, Any], where: str) -> TextTable:
 
 
 def header_of(path: Path) -> TextTable | None:
-    """The names of the columns of a table of text, without its rows; None: it is none."""
+    """Read the column names of a text table without its rows; None when the file is no such table."""
     import pandas
 
     try:
@@ -199,7 +203,7 @@ def _decoded(path: Path, data: bytes, encoding: str | None, notes: list[str]) ->
 def _header(
     path: Path, text: str, skip: int, separator: str | None, comment: str | None
 ) -> tuple[list[str], int, str, list[str] | None]:
-    """Cells of the header, where the data start, the separator, and a second line of the header if there is one."""
+    """Find the header: its cells, the offset of the data, the separator, and a second header line or None."""
     lines = list(itertools.islice(_lines(text), 400))[skip:]
     if comment:
         lines = [(at, line) for at, line in lines if not line.startswith(comment)]
@@ -248,7 +252,7 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """Find the separator that divides all lines equally often; a comma between digits may be a decimal comma."""
+    """Find the separator that occurs equally often in all lines; a comma between digits may be a decimal comma."""
     best, most = " ", 0
     for separator in _SEPARATORS:
         counts = {line.count(separator) for line in lines}
@@ -281,7 +285,7 @@ def _some_number(cells: Sequence[str]) -> bool:
 
 
 def _named(head: Sequence[str], second: Sequence[str] | None) -> tuple[list[str], list[str], list[str]]:
-    """Names of the columns, made different, units in them or in the line below, and what stands there that is none."""
+    """List by column a unique name, the unit in the name or in the line below, and a unit that is not known."""
     names: list[str] = []
     units: list[str] = []
     unknown = []

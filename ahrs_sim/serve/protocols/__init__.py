@@ -61,7 +61,7 @@ def make(name: str, epoch_ns: int) -> Protocol:
         epoch_ns: zero of the flight's time, ns since 1970: messages of GNSS carry a date.
 
     Raises:
-        InputError: a protocol that nobody knows.
+        InputError: an unknown protocol.
     """
     if name not in _CLASSES:
         raise InputError(f"--protocol {name}: unknown{nearest(name, NAMES)}")
