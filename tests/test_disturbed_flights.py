@@ -2,6 +2,8 @@
 
 import tomllib
 
+import pytest
+
 from ahrs_sim import pipeline, scenario
 from ahrs_sim.evaluation.accuracy import Accuracy
 

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from ahrs_sim import scenario
 from ahrs_sim.runs import kept, pool
