@@ -169,7 +169,7 @@ def _main() -> None:
     parts, instance = estimator.assemble()
     records = {**parts, "instance": instance}
     blocks = _blocks(records, list(kernels), image if task["single"] else np.ndarray.tobytes)
-    blocks["work"] = replace(blocks["work"], size=estimator.work_size())
+    blocks["work"] = replace(blocks["work"], size=estimator.work_size(), image=b"")
     folder, stack = Path(task["folder"]), {}
     written = (
         {entry: (symbol, as_single(code)) for entry, (symbol, code) in kernels.items()} if task["single"] else kernels

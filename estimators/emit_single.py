@@ -35,8 +35,8 @@ def _rounded(text: str) -> str:
 
 
 def image(data: np.ndarray) -> bytes:
-    """The bytes of a record (an array without dimensions) with every double a float in its place."""
-    made = data.copy().reshape(1)
+    """The bytes of a record (an array without dimensions) with every double a float in its place, gaps as they are."""
+    made = np.frombuffer(bytearray(data.tobytes()), data.dtype)  # a copy of the fields alone has anything in the gaps
     _convert(made)
     return made.tobytes()
 

@@ -24,6 +24,7 @@ from ahrs_sim.runs.log_tuning import Recorded
 from ahrs_sim.scenario.code import Gate
 from estimators import Samples, SensorInfo, Site
 from estimators.emit import Emitted, emit
+from estimators.emit_single import image
 
 SENSORS = SensorInfo(gyro_delay=0.005, accel_delay=0.008, mag_delay=0.02, antenna_b=(0.5, 0.1, -1.0), gnss_pos=2.0)
 RUN_ELSEWHERE = ["marg-ekf", "marg-ckf", "sekf", "ins21"]
@@ -111,6 +112,14 @@ def test_single_precision_is_near(tmp_path: Path, minute: Recorded, method: str,
     off = np.degrees(np.linalg.norm(attitude.rotation_vector(found.q_nb[both], wanted.q_nb[both]), axis=1))
     assert 0.0 < np.nanmax(off) < most
     assert "Single precision" in (folder / "README.md").read_text()
+
+
+def test_the_first_contents_of_single_precision_are_the_same_each_time() -> None:
+    """Between a record's fields lie bytes that belong to none: they are copied, too."""
+    record = np.zeros((), np.dtype([("flag", np.uint8), ("number", np.float64)], align=True))
+    record["number"] = 2.0
+    record.reshape(1).view(np.uint8)[1:8] = 7
+    assert image(record) == bytes([0, *[7] * 7]) + np.float32(2.0).tobytes() + bytes(4)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import shlex
 import shutil
 import subprocess
 import sys
@@ -191,6 +192,25 @@ def test_a_new_project_builds_tests_itself_and_flies(
     result = json.loads(capsys.readouterr().out)["estimators"]["libmine-chr"]
     assert result["tilt_rmse_deg"] < 3.0
     assert cli.main(["new", "estimator", "mine", "-o", "."]) == 2
+
+
+@pytest.mark.parametrize("language", ["c", "python"])
+def test_the_accuracy_of_a_new_project_is_checked_as_it_says(
+    tmp_path: Path, language: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """README once, then Makefile and CI, whose commands are run as they are written, on a shorter flight."""
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["new", "estimator", "own_one", "--lang", language]) == 0
+    monkeypatch.chdir(tmp_path / "own_one")
+    if language == "c":
+        subprocess.run(["make", "-s"], check=True)
+    suite = Path("accuracy.toml")
+    first = suite.read_text().split("[[flight]]")[:2]
+    suite.write_text("[[flight]]".join(first).replace("60.0", "12.0").replace("[1, 2, 3]", "[1]"))
+    for file in (Path("README.md"), Path("Makefile"), Path(".github", "workflows", "accuracy.yml")):
+        line = next(line for line in file.read_text().splitlines() if "ahrs-sim check" in line and "#" not in line[:1])
+        words = shlex.split(line[line.index("ahrs-sim check") :], comments=True)
+        assert cli.main([*words[1:], "--workers", "1"]) == 0, line
 
 
 def test_c_and_cpp_and_python_projects_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
