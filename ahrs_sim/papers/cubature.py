@@ -35,7 +35,7 @@ _REFERENCE = (
     "What the filters differ by from it is therefore no measure of their error."
 )
 _ENGINE = (
-    """Holds how one filter recovered from a wrong initial heading, standing; one value per run."""
+    'The paper takes R "in the ground start-up state" (地面启动状态), by its words with the engine running. Then R has '
     "the engine's vibration in it, of which it prints nothing: here so much in the accelerometer's R, all else from "
     "the ground. The size of the error hangs on it; that the three filters err alike does not."
 )
