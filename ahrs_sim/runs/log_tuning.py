@@ -18,12 +18,14 @@ from typing import Any
 
 import numpy as np
 
+from ahrs_sim import plugins
 from ahrs_sim.errors import CheckError, InputError, nearest
 from ahrs_sim.evaluation import metrics
 from ahrs_sim.evaluation.bootstrap import interval
 from ahrs_sim.log.flight_reader import FlightReader
 from ahrs_sim.recordings.sources import is_mcap
 from ahrs_sim.scenario import Component, Gate
+from ahrs_sim.scenario.code import from_outside
 from ahrs_sim.sensors.assemble import Assembler
 from estimators import create, describe
 from estimators.settings import Setting
@@ -53,6 +55,7 @@ class Recorded:
     method: str
     settings: Mapping[str, Any]  # those that it has in the log or the map
     reference: metrics.History = metrics.NOTHING
+    folder: Path = Path()  # of the file that names code from outside
 
 
 @dataclass(frozen=True)
@@ -64,16 +67,16 @@ class Knob:
     high: float
 
     @classmethod
-    def read(cls, text: str, known: Mapping[str, Setting], values: Mapping[str, Any]) -> "Knob":
-        """Read a knob from `gyro_noise` or `gyro_noise=1e-4..1e-2`.
+    def read(cls, text: str, known: Mapping[str, Setting] | None, values: Mapping[str, Any]) -> "Knob":
+        """Read a knob from `gyro_noise` or `gyro_noise=1e-4..1e-2`; known: None when only the estimator knows.
 
         Raises:
             InputError: no such setting, not a number, or limits that are none.
         """
         name, _, limits = text.partition("=")
-        if name not in known:
+        if known is not None and name not in known:
             raise InputError(f"--setting {text}: no such setting{nearest(name, known)}")
-        value = values.get(name, known[name].default)
+        value = values.get(name, known[name].default if known is not None else 0.0)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise InputError(f"--setting {text}: '{name}' is not a number; only numbers can be tuned")
         if not limits:
@@ -120,15 +123,16 @@ class Tuned:
         """Format the settings to paste and what they are worth."""
         outcome = "better" if self.low > 0 else "worse" if self.high < 0 else "no significant difference"
         what = "log-likelihood a number" if self.objective == LIKELIHOOD else "error, deg"
+        nis = f"NIS {self.nis_before:.3g} -> {self.nis_after:.3g}; " if math.isfinite(self.nis_before) else ""
         return "\n".join(
             [
-                f"[estimator.{self.method}]",
+                f"[estimator.{Path(self.method.rpartition(':')[2]).stem}]",
                 f'method = "{self.method}"',
                 *(f"{name} = {value:.4g}" for name, value in self.settings.items()),
                 "",
                 f"{what}, {self.blocks} held-out blocks of {BLOCK_S:g} s: {self.before:.4g} -> {self.after:.4g}, "
                 f"gain {self.gain:.3g} (95 %: {self.low:.3g} to {self.high:.3g}): {outcome}",
-                f"NIS {self.nis_before:.3g} -> {self.nis_after:.3g}; {self.passes} passes of the filter",
+                f"{nis}{self.passes} passes of the filter",
                 *self.notes,
             ]
         )
@@ -210,7 +214,9 @@ def _recorded(
     full = [block for block in blocks if len(block)]
     if not full:
         raise InputError("tune: the recording has no sample of the IMU")
-    return Recorded(Samples.concatenate(full), site, sensors, str(component.settings["method"]), settings, reference)
+    folder = Path(component.where.partition(":")[0]).parent
+    method = str(component.settings["method"])
+    return Recorded(Samples.concatenate(full), site, sensors, method, settings, reference, folder)
 
 
 def tune(
@@ -231,9 +237,11 @@ def tune(
         InputError: a setting that is none, no reference for `ERROR`, an estimator without innovations.
         CheckError: the recording is too short to be cut in halves.
     """
-    known = next((m.settings for m in describe() if m.name == recorded.method), {})
-    values = {name: recorded.settings.get(name, s.default) for name, s in known.items()}
+    known = next((m.settings for m in describe() if m.name == recorded.method), None)
+    values = {**{name: s.default for name, s in (known or {}).items()}, **recorded.settings}
     names = settings or [n for n in NOISES if isinstance(values.get(n), float) and values[n] > 0.0]
+    if known is None and not from_outside(recorded.method):
+        known = {}
     knobs = [Knob.read(text, known, values) for text in names]
     if not knobs:
         raise InputError(f"tune: {recorded.method} has no setting to tune by default; name one with --setting")
@@ -248,7 +256,7 @@ def tune(
             progress(len(trials), most)
         return trials[key]
 
-    start = np.log([np.clip(float(values[k.name]), k.low, k.high) for k in knobs])
+    start = np.log([np.clip(float(values.get(k.name, math.sqrt(k.low * k.high))), k.low, k.high) for k in knobs])
     first = _pass(recorded, {}, objective)
     usable = np.flatnonzero(np.isfinite(first.cost))
     if len(usable) < 4:
@@ -266,8 +274,8 @@ def tune(
         gain=gain,
         low=low,
         high=high,
-        nis_before=float(np.nanmean(first.nis[held_out])),
-        nis_after=float(np.nanmean(last.nis[held_out])),
+        nis_before=_mean(first.nis[held_out]),
+        nis_after=_mean(last.nis[held_out]),
         blocks=len(held_out),
         passes=len(trials) + 1,
         notes=[
@@ -276,6 +284,11 @@ def tune(
             if min(v - math.log(k.low), math.log(k.high) - v) < 1e-6
         ],
     )
+
+
+def _mean(nis: np.ndarray) -> float:
+    """Mean of what is known; NaN where nothing is: an estimator without innovations."""
+    return float(np.mean(nis[np.isfinite(nis)])) if np.isfinite(nis).any() else math.nan
 
 
 def _or_worst(cost: np.ndarray) -> np.ndarray:
@@ -329,8 +342,7 @@ def _search(cost: Callable[[np.ndarray], float], start: np.ndarray, knobs: Seque
 
 def _pass(recorded: Recorded, changed: Mapping[str, float], objective: str) -> Score:
     """One pass of the filter."""
-    made = create(recorded.method, site=recorded.site, sensors=recorded.sensors, **{**recorded.settings, **changed})
-    estimates = made.process(recorded.samples)
+    estimates = _estimates(recorded, {**recorded.settings, **changed}, strict=not changed)
     block = ((estimates.t - estimates.t[0]) / BLOCK_S).astype(int)
     count = int(block[-1]) + 1
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -342,6 +354,21 @@ def _pass(recorded: Recorded, changed: Mapping[str, float], objective: str) -> S
         nis = np.bincount(block, np.where(used, square, 0.0).sum(axis=1), count) / numbers
         likely = np.bincount(block, np.where(used, number, 0.0).sum(axis=1), count) / numbers
     return Score(likely if objective == LIKELIHOOD else _errors(recorded, estimates, block, count), nis)
+
+
+def _estimates(recorded: Recorded, settings: Mapping[str, Any], strict: bool) -> Estimates:
+    """Estimate all samples, by code from outside in its process; when `strict`, its failure is an `InputError`."""
+    site, sensors = recorded.site, recorded.sensors
+    if not from_outside(recorded.method):
+        return create(recorded.method, site=site, sensors=sensors, **settings).process(recorded.samples)
+    made = plugins.create(
+        recorded.method, recorded.method, recorded.folder, site=site, sensors=sensors, settings=settings
+    )
+    estimates = made.process(recorded.samples)
+    if strict and made.failure is not None:
+        raise InputError(f"tune: {recorded.method} {made.failure}")
+    getattr(made.estimator, "close", lambda: None)()
+    return estimates
 
 
 def _errors(recorded: Recorded, estimates: Estimates, block: np.ndarray, count: int) -> np.ndarray:

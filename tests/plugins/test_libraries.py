@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import re
 import shlex
 import shutil
 import subprocess
@@ -260,3 +261,29 @@ def test_replay_goes_on_without_a_library_that_fails(
     assert "crashed (SIGABRT)" in printed.err and "ekf-chr" in printed.out
     with FlightReader(tmp_path / "new.mcap") as reader:
         assert len(reader.estimates("libplug-chr")) == len(reader.estimates("ekf-chr"))
+
+
+def test_a_setting_of_a_library_is_tuned_on_a_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Only the library knows its settings: limits are given, and the error decides; it states no innovations."""
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["new", "estimator", "mine", "--lang", "c"]) == 0
+    subprocess.run(["make", "-s", "-C", "mine", "libmine.so"], check=True)
+    own = 'method = "lib:./mine/libmine.so"\nsuite = "chr"\ntilt_gain = 0.9\n'
+    Path("flight.toml").write_text(
+        f'extends = "takeoff"\nduration_s = 95.0\nestimators = ["own"]\n[estimator.own]\n{own}'
+    )
+    assert cli.main(["fly", "flight.toml", "-o", "x.mcap"]) == 0
+    command = ["tune", "x.mcap", "--estimator", "own", "--allow-code", "lib:./mine/libmine.so", "--objective", "error"]
+    capsys.readouterr()
+    assert cli.main([*command, "--setting", "tilt_gain=0.02..1"]) == 0
+    printed = capsys.readouterr().out
+    (gain,) = re.findall(r"^\[estimator\.libmine\]\nmethod = .*\ntilt_gain = (\S+)$", printed, re.MULTILINE)
+    assert 0.02 <= float(gain) < 0.5 and ": better" in printed and "NIS" not in printed
+    for setting, words in (
+        ("heading_gain", "give limits: heading_gain=LOW..HIGH"),
+        ("tilt_gaim=0.02..1", "no setting 'tilt_gaim'; known: tilt_gain"),
+    ):
+        assert cli.main([*command, "--setting", setting]) == 2
+        assert words in capsys.readouterr().err
