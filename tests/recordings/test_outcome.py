@@ -49,16 +49,34 @@ def test_silent_when_innovations_are_of_the_size_told(block: Any, method: str) -
     assert found.lines() == []
 
 
-@pytest.mark.parametrize("method", ["ins21", "ins-cal"])
-def test_a_receiver_that_is_worse_or_better_than_told(block: Any, method: str) -> None:
-    for sensors, words in (
-        (SensorInfo(gnss_vel=0.01), "right is 1: late, disturbed, or worse than [sensors] says"),
-        (SensorInfo(gnss_vel=4.0), "right is 1: better than [sensors] says"),
-    ):
-        lines = outcome(method, block, sensors).lines()
-        assert [x for x in lines if x.startswith(f"check: {method}: NIS of GNSS velocity ") and words in x], lines
-    lines = outcome(method, block, SensorInfo(gnss_vel=0.01)).lines(suspected=True)
+WORSE, BETTER = SensorInfo(gnss_vel=0.01), SensorInfo(gnss_vel=4.0)
+
+
+@pytest.mark.parametrize(
+    ("method", "sensors", "words"),
+    [
+        ("ins21", WORSE, "right is 1: late, disturbed, or worse than [sensors] says"),
+        ("ins21", BETTER, "right is 1: better than [sensors] says"),
+        ("ins-cal", BETTER, "right is 1: better than [sensors] says"),
+    ],
+)
+def test_a_receiver_that_is_worse_or_better_than_stated(
+    block: Any, method: str, sensors: SensorInfo, words: str
+) -> None:
+    lines = outcome(method, block, sensors).lines()
+    assert [x for x in lines if x.startswith(f"check: {method}: NIS of GNSS velocity ") and words in x], lines
+
+
+def test_a_receiver_that_is_worse_than_stated_beside_other_checks(block: Any) -> None:
+    lines = outcome("ins21", block, WORSE).lines(suspected=True)
     assert [x for x in lines if x.endswith("right is 1: first mend what the checks above name")] == lines
+
+
+def test_a_navigator_that_learns_the_noise_of_its_receiver_is_silent(block: Any) -> None:
+    """`ins-cal` multiplies the velocity's sigma as its innovations ask for: five times are no news then."""
+    found = outcome("ins-cal", block, WORSE)
+    assert found.lines() == []
+    assert 0.5 < found.nis("ins-cal")["gnss.vel_n"] < 2.0
 
 
 def test_a_disturbed_magnetometer_is_the_one_that_is_named(block: Any) -> None:

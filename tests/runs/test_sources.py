@@ -79,9 +79,9 @@ def test_a_campaign_goes_on_with_the_same_sources_only(tmp_path: Path) -> None:
         store.check(plan(path))
 
 
-@pytest.mark.parametrize("method", ["own.py:Own", "own:Own", "lib:own.py"])
+@pytest.mark.parametrize("method", ["digested.py:Own", "digested:Own", "lib:digested.py"])  # no other test's module
 def test_an_estimator_from_outside_counts(method: str, tmp_path: Path) -> None:
-    path, own = tmp_path / "flight.toml", tmp_path / "own.py"
+    path, own = tmp_path / "flight.toml", tmp_path / "digested.py"
     path.write_text(MOTION.format(method=method))
     own.write_text(FILTER)
     loaded = scenario.load(str(path), gate=Gate(ANY))

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -330,13 +331,16 @@ def test_a_term_that_draws_more_changes_no_other(term: str, monkeypatch: pytest.
         "gyro": {"cross_axis_percent": 1.0, "non_linearity_percent": 0.1, "vibration_rectification_dps_per_g2": 0.1}
     }
     before = drawn()
-    plain = Fitting.normal
 
-    def greedy(self: Fitting, instrument: str, name: str, *shape: int) -> np.ndarray:
-        if name != term:
-            return plain(self, instrument, name, *shape)
-        return plain(self, instrument, name, math.prod(shape) + 1)[1:].reshape(shape)
+    def greedy(plain: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
+        def draw(self: Fitting, instrument: str, name: str, *shape: int) -> np.ndarray:
+            if name != term:
+                return plain(self, instrument, name, *shape)
+            return plain(self, instrument, name, math.prod(shape) + 1)[1:].reshape(shape)
 
-    monkeypatch.setattr(Fitting, "normal", greedy)
+        return draw
+
+    monkeypatch.setattr(Fitting, "normal", greedy(Fitting.normal))  # once a unit
+    monkeypatch.setattr(Fitting, "anew", greedy(Fitting.anew))  # at each switch-on
     changed = {name for name, values in drawn().items() if not np.array_equal(values, before[name])}
     assert changed == {TERMS[term]}
