@@ -17,26 +17,14 @@ from estimators.navigator.history import ANGLES, CARRIED
 from estimators.navigator.layout import (
     BASELINE,
     FIELD,
-    FIELD_NOISE,
-    FIELDS,
     GYRO_BIAS,
     GYRO_FAST,
     GYRO_SLOW,
     HARD_IRON,
-    JERK,
     LATE,
     MAG_MATRIX,
     PHI,
     POS,
-    SECONDS,
-    SHAKE,
-    SPEED,
-    SPEED_NOISE,
-    SURPRISE,
-    T_AID,
-    T_BASELINE,
-    T_GNSS,
-    T_MAG,
     VEL,
     WANDER,
     Batch,
@@ -82,7 +70,7 @@ def begin(work: Work, row: int, residual: float, variance: float) -> None:
 def take(model: Parameters, memory: Memory, P: np.ndarray, work: Work, rows: int, first: int, answer: Estimate) -> None:
     """Take in the measurements of `work`; what surprises too much counts as noisier, as by a heavy-tailed error."""
     surprise = nis(P, work, rows)
-    memory.seen[SURPRISE] = surprise
+    memory.surprise = surprise
     if surprise > model.surprise:
         for i in range(rows):
             work.variance[i] *= surprise / model.surprise
@@ -95,7 +83,7 @@ def take(model: Parameters, memory: Memory, P: np.ndarray, work: Work, rows: int
 @inner
 def followed(memory: Memory, raised: float, dt: float, times: float) -> float:
     """The factor on a noise, after dt (s), that brings the innovation just taken in, `times` as large, to its size."""
-    excess = min(times * memory.seen[SURPRISE], MOST) - USUAL
+    excess = min(times * memory.surprise, MOST) - USUAL
     share = min(dt, 1.0) / NOISE_TIME if dt > 0.0 else 0.0
     return float(min(max(raised * (1.0 + share * excess), 1.0), MOST))
 
@@ -129,9 +117,9 @@ def take_fix(model: Parameters, carry: Carry, work: Work, row: Sample, f_n: Trip
     for i in range(3):
         speed &= abs(vel_n[i]) < MAX_SPEED
     if speed:
-        steady, raised = memory.steady[1], memory.seen[SPEED_NOISE]
-        lasting = steady[0] ** 2 + steady[1] ** 2 + (steady[2] + model.gravity) ** 2 - memory.seen[SHAKE]
-        shown = memory.seen[JERK] < SHAKEN2 or lasting > MANOEUVRE**2
+        steady, raised = memory.steady[1], memory.speed_noise
+        lasting = steady[0] ** 2 + steady[1] ** 2 + (steady[2] + model.gravity) ** 2 - memory.shake
+        shown = memory.jerk < SHAKEN2 or lasting > MANOEUVRE**2
         for i in range(3):
             wide = UP if i == 2 else 1.0
             noise = raised * (wide * model.gnss_velocity) ** 2 + time2 * a_n[i] * a_n[i]
@@ -140,10 +128,10 @@ def take_fix(model: Parameters, carry: Carry, work: Work, row: Sample, f_n: Trip
             if shown:  # else what shakes the accelerometer would go for a delay
                 put(work, i, LATE, -steady[i] - (model.gravity if i == 2 else 0.0))
         take(model, memory, P, work, 3, Z_VELOCITY, answer)
-        memory.seen[SPEED_NOISE] = followed(memory, raised, t - memory.clock[T_GNSS], 1.0)
-        memory.clock[T_AID] = memory.clock[T_GNSS] = t
+        memory.speed_noise = followed(memory, raised, t - memory.fix_t, 1.0)
+        memory.aid_t = memory.fix_t = t
         note_fix(memory.turned, true_t, vel_n[0], vel_n[1], then[CARRIED], then[CARRIED + 1])
-        memory.seen[SPEED] = math.sqrt(vel_n[0] ** 2 + vel_n[1] ** 2 + vel_n[2] ** 2)
+        memory.speed = math.sqrt(vel_n[0] ** 2 + vel_n[1] ** 2 + vel_n[2] ** 2)
     if abs(lla[0]) < 1.58 and abs(lla[1]) < 6.3 and abs(lla[2]) < 1e6:
         apart(lla, then[3:6], off)
         for i in range(3):
@@ -185,21 +173,21 @@ def add_field(model: Parameters, nominal: Nominal, batch: Batch, C: np.ndarray, 
         for j in range(3):
             for k in range(3):
                 slope[MAG_MATRIX + 3 * j + k] += row[j] * u[k]
-    batch.total[FIELDS] += 1.0
+    batch.fields += 1.0
 
 
 @inner
 def take_field(model: Parameters, carry: Carry, work: Work, t: float, answer: Estimate) -> None:
     """The mean of the readings of a batch, all three components, unless motion contradicts it."""
     P, batch, memory = carry.P, carry.batch, carry.memory
-    n = batch.total[FIELDS]
+    n = batch.fields
     if n == 0.0:
         return
     turn = atan2(model.mag_n[1], model.mag_n[0]) - atan2(batch.read[1], batch.read[0])  # as if nothing were learnt
     if refuse_field(memory.turned, t, wrap(turn), model.gnss_velocity, model.field_off):
         return
-    raised = memory.seen[FIELD_NOISE]
-    once = model.mag_floor**2 + (model.mag_shake * memory.seen[JERK]) ** 2
+    raised = memory.field_noise
+    once = model.mag_floor**2 + (model.mag_shake * memory.jerk) ** 2
     for i in range(3):
         begin(work, i, batch.field[i] / n, raised * raised * (model.mag_noise**2 / n + once))
         for j in range(3):
@@ -210,8 +198,8 @@ def take_field(model: Parameters, carry: Carry, work: Work, t: float, answer: Es
         put(work, i, HARD_IRON + i, 1.0)
     take(model, memory, P, work, 3, Z_FIELD, answer)
     # what its innovations have too much is no white noise: it is raised by as much again
-    memory.seen[FIELD_NOISE] = followed(memory, raised, t - memory.clock[T_MAG], raised)
-    memory.clock[T_MAG] = t
+    memory.field_noise = followed(memory, raised, t - memory.mag_t, raised)
+    memory.mag_t = t
 
 
 @inner
@@ -239,8 +227,8 @@ def take_baseline(model: Parameters, carry: Carry, work: Work, row: Sample, answ
     put(work, 0, BASELINE + 1, yaw_share)
     put(work, 0, BASELINE + 2, pitch_share)
     if nis(P, work, 1) <= model.surprise:
-        memory.clock[T_BASELINE] = row.t
-    elif row.t - memory.clock[T_BASELINE] < WRONG_FIX:
+        memory.wrong_baseline_t = row.t
+    elif row.t - memory.wrong_baseline_t < WRONG_FIX:
         return
     take(model, memory, P, work, 1, Z_BASELINE, answer)
 
@@ -249,7 +237,7 @@ def take_baseline(model: Parameters, carry: Carry, work: Work, row: Sample, answ
 def take_standstill(model: Parameters, carry: Carry, work: Work, t: float, answer: Estimate) -> None:
     """No velocity, and no rate but the Earth's."""
     P, batch, memory, v = carry.P, carry.batch, carry.memory, carry.nominal.v
-    seconds = batch.total[SECONDS]
+    seconds = batch.seconds
     if not seconds > 0.0:
         return
     for i in range(3):
@@ -261,4 +249,4 @@ def take_standstill(model: Parameters, carry: Carry, work: Work, t: float, answe
         for column in (GYRO_BIAS, GYRO_FAST, GYRO_SLOW):
             put(work, i, column + i, 1.0)
     take(model, memory, P, work, 3, -1, answer)
-    memory.clock[T_AID] = t
+    memory.aid_t = t

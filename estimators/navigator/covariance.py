@@ -9,17 +9,13 @@ from estimators.jit import inner
 from estimators.native import record
 from estimators.navigator.layout import (
     COUPLED,
-    FORCE_VARIANCE,
-    GYRO_VARIANCE,
     MOVING,
     NOTED_BATCH,
     NOTED_NUMBER,
     NUMBERS,
     PHI,
-    SECONDS,
     SMOOTHED,
     TAPE,
-    TOTALS,
     VEL,
     Batch,
     N,
@@ -35,8 +31,7 @@ def clear(batch: Batch) -> None:
     for i in range(MOVING):
         for k in range(COUPLED):
             batch.F[i, k] = 1.0 if i == k else 0.0
-    for i in range(TOTALS):
-        batch.total[i] = 0.0
+    batch.seconds = batch.gyro_variance = batch.force_variance = batch.fields = 0.0
     for i in range(3):
         batch.field[i] = batch.rate[i] = 0.0
         batch.read[i % 2] = 0.0
@@ -47,7 +42,7 @@ def clear(batch: Batch) -> None:
 @inner
 def move(model: Parameters, c: np.ndarray, P: np.ndarray, batch: Batch, work: Work) -> None:
     """`P = F P F^T + Q` over a batch, and what decays in the constants c; both halves of P."""
-    F, G, seconds = batch.F, work.G, batch.total[SECONDS]
+    F, G, seconds = batch.F, work.G, batch.seconds
     for i in range(MOVING):
         for j in range(N):
             G[i, j] = 0.0
@@ -65,8 +60,8 @@ def move(model: Parameters, c: np.ndarray, P: np.ndarray, batch: Batch, work: Wo
         for j in range(MOVING, N):
             P[i, j] = P[j, i] = G[i, j]
     for i in range(3):
-        P[PHI + i, PHI + i] += batch.total[GYRO_VARIANCE]
-        P[VEL + i, VEL + i] += batch.total[FORCE_VARIANCE]
+        P[PHI + i, PHI + i] += batch.gyro_variance
+        P[VEL + i, VEL + i] += batch.force_variance
     for i in range(6, N):
         if model.decay[i] > 0.0:
             keep = work.keep[i] = exp(-model.decay[i] * seconds)

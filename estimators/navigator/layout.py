@@ -36,9 +36,6 @@ MOVING = 9  # components that move by themselves
 SMOOTHED = 21  # components that a smoother gives: to the bias of the accelerometer
 COUPLED = HARD_IRON  # those before it act on them
 FAST_TIME, SLOW_TIME = 10.0, 100.0  # s, of the terms of the gyro's bias in run
-T_LAST, T_GOOD, T_BATCH, T_AID, T_GNSS, T_MAG, T_BASELINE, T_SECOND, CLOCKS = range(9)
-GOOD, JERK, SHAKE, COUNT, IS_STILL, WAS_STILL, SPEED, SURPRISE, FIELD_NOISE, SPEED_NOISE, SEEN = range(11)
-GYRO_VARIANCE, FORCE_VARIANCE, SECONDS, FIELDS, TOTALS = range(5)
 
 Errors = Annotated[np.ndarray, shaped(N)]
 Covariance = Annotated[np.ndarray, shaped(N, N)]
@@ -92,13 +89,29 @@ class Nominal(Record):
 class Memory(Record):
     """Carries what is kept from row to row beside the state."""
 
-    clock: Annotated[np.ndarray, shaped(CLOCKS)]  # s
+    last_t: Number  # s, of the last row; every time is NaN before the first
+    good_t: Number  # s, of the last row whose rate and force are good
+    batch_t: Number  # s, when the covariance was last propagated
+    aid_t: Number  # s, of the last aid
+    fix_t: Number  # s, of the last fix
+    mag_t: Number  # s, of the last use of the field
+    wrong_baseline_t: Number  # s, of the last baseline that was left out
+    second_t: Number  # s, when the present second began
     last: Pairs3  # last good rate and force
     mean: Pairs3  # mean rate and force of the step
     step: Pairs3  # rad/s, m/s2: last changes of rate and force
     steady: Pairs3  # rad/s, m/s2 NED: rate and force without what vibrates
     second: Annotated[np.ndarray, shaped(2, 6)]  # mean and spread of the present second
-    seen: Annotated[np.ndarray, shaped(SEEN)]
+    count: Number  # rows in the present second
+    good: Number  # 1: rate and force of the last row are good
+    jerk: Number  # rad2/s2, variance of the gyro between samples
+    shake: Number  # m2/s4, of the accelerometer
+    still: Number  # 1: the last second was
+    was_still: Number  # before the last batch
+    speed: Number  # m/s, of the last fix
+    surprise: Number  # square of the last innovation by its variance, per degree of freedom
+    field_noise: Number  # factor of the field's variance that its innovations ask for
+    speed_noise: Number  # of the receiver's
     turned: Turned  # the heading that motion shows
     past: Ring  # the antenna's velocity and place, the yaw, and the velocity that the gyro alone carries (`turned`)
 
@@ -107,7 +120,10 @@ class Batch(Record):
     """Accumulates the motion since the covariance was last propagated."""
 
     F: Transition  # of the moving components; the others keep
-    total: Annotated[np.ndarray, shaped(TOTALS)]
+    seconds: Number
+    gyro_variance: Number  # rad2
+    force_variance: Number  # m2/s2
+    fields: Number  # readings of the field in it
     field: Vector3  # T, sum of measured minus predicted field
     read: Annotated[np.ndarray, shaped(2)]  # T, sum of the readings as they are, north and east
     field_slope: Annotated[np.ndarray, shaped(3, N)]  # sum of its slopes

@@ -31,34 +31,17 @@ from estimators.navigator.layout import (
     ACCEL_BIAS,
     ACCEL_MATRIX,
     CARRY,
-    COUNT,
     FIELD,
-    FORCE_VARIANCE,
-    GOOD,
     GYRO_BIAS,
     GYRO_FAST,
     GYRO_MATRIX,
     GYRO_SLOW,
-    GYRO_VARIANCE,
     HARD_IRON,
-    IS_STILL,
-    JERK,
     MAG_MATRIX,
     PARAMETERS,
     PHI,
     POS,
-    SHAKE,
-    SPEED,
-    SURPRISE,
-    T_AID,
-    T_BATCH,
-    T_GNSS,
-    T_GOOD,
-    T_LAST,
-    T_MAG,
-    T_SECOND,
     VEL,
-    WAS_STILL,
     WORK,
     Carry,
     Memory,
@@ -163,7 +146,7 @@ def process(own: Instance, rows: np.ndarray, count: int, out: np.ndarray) -> int
 def _adapt_process(owner: None, kernel: Kernel) -> Kernel:
     def body(own, rows, count, out):  # type: ignore[no-untyped-def]
         a = record(own, INSTANCE)
-        last = record(a.carry, CARRY).memory.clock[T_LAST] if a.begun != 0 else record(a.stretch, STRETCH).last_t
+        last = record(a.carry, CARRY).memory.last_t if a.begun != 0 else record(a.stretch, STRETCH).last_t
         bad = screen(rows, count, last, record(a.sensors, SHEET), False)
         if bad < 0:
             for k in range(count):
@@ -177,7 +160,7 @@ def _adapt_process(owner: None, kernel: Kernel) -> Kernel:
 def _estimate(own: Instance, row: Sample, k: int, answer: Estimate) -> None:
     """Estimate row k of a block, or align with it."""
     stretch, carry = record(own.stretch, STRETCH), record(own.carry, CARRY)
-    if row.t - (carry.memory.clock[T_LAST] if own.begun != 0 else stretch.last_t) > LONGEST_GAP:
+    if row.t - (carry.memory.last_t if own.begun != 0 else stretch.last_t) > LONGEST_GAP:
         _forget(own)
     answer.t = row.t
     sensors = record(own.sensors, SHEET)
@@ -203,15 +186,15 @@ def _to_gyro_time(row: Sample, sensors: Sheet) -> None:
 def _step(model: Parameters, carry: Carry, work: Work, row: Sample, k: int, answer: Estimate) -> None:
     """Estimate row k of a block."""
     nominal, memory, t = carry.nominal, carry.memory, row.t
-    dt = t - memory.clock[T_LAST]
+    dt = t - memory.last_t
     if dt <= 0.0:
         answer.status = _COASTING
         report(model, carry, work, answer)
         return
     if math.isnan(dt):  # the first row of all
-        memory.clock[T_BATCH] = t
+        memory.batch_t = t
         dt = 0.0
-    memory.clock[T_LAST] = t
+    memory.last_t = t
     read_inertial(t, row.gyro_b, row.accel_b, memory)
     f_n = predict(model, carry, work, dt, k)
     remember(model, nominal, memory, true_rate(nominal.c, memory.mean[0]), t)
@@ -220,11 +203,11 @@ def _step(model: Parameters, carry: Carry, work: Work, row: Sample, k: int, answ
         add_field(model, nominal, carry.batch, work.C, row.mag_b)
     ended = SOUND
     due = row.gnss_new or (model.use_heading and row.heading_new)
-    if due or t - memory.clock[T_BATCH] >= BATCH_S - 1e-6:
+    if due or t - memory.batch_t >= BATCH_S - 1e-6:
         ended = correct(model, carry, work, row, f_n, answer)
         note_end(work, carry.P, ended != SOUND, k)
-    aided = t - memory.clock[T_AID] <= AID_TIMEOUT and t - memory.clock[T_MAG] <= MAG_TIMEOUT
-    answer.status = _RUNNING if aided and memory.seen[GOOD] == 1.0 and dt <= MAX_STEP else _COASTING
+    aided = t - memory.aid_t <= AID_TIMEOUT and t - memory.mag_t <= MAG_TIMEOUT
+    answer.status = _RUNNING if aided and memory.good == 1.0 and dt <= MAX_STEP else _COASTING
     if ended == LOST:
         answer.status = _DIVERGED
         for i in range(MEASUREMENTS):
@@ -238,11 +221,11 @@ def read_inertial(t: float, gyro: np.ndarray, accel: np.ndarray, memory: Memory)
     good = True
     for i in range(3):
         good &= abs(gyro[i]) < MAX_RATE and abs(accel[i]) < MAX_FORCE
-    memory.seen[GOOD] = 1.0 if good else 0.0
+    memory.good = 1.0 if good else 0.0
     if not good:
         return
     last, mean = memory.last, memory.mean
-    dt = t - memory.clock[T_GOOD]
+    dt = t - memory.good_t
     fresh = dt < 0.1
     square, shaken = 0.0, 0.0
     for i in range(3):
@@ -259,16 +242,16 @@ def read_inertial(t: float, gyro: np.ndarray, accel: np.ndarray, memory: Memory)
         fresh
     ):  # what turns too fast for the sampling (an impact, vibration): a sixth of the second differences' variance
         share = min(dt / JERK_TIME, 1.0)
-        memory.seen[JERK] += share * (square / 18.0 - memory.seen[JERK])
-        memory.seen[SHAKE] += share * (shaken / 18.0 - memory.seen[SHAKE])
-    memory.clock[T_GOOD] = t
+        memory.jerk += share * (square / 18.0 - memory.jerk)
+        memory.shake += share * (shaken / 18.0 - memory.shake)
+    memory.good_t = t
 
 
 @inner
 def predict(model: Parameters, carry: Carry, work: Work, dt: float, k: int) -> Triple:
     """Move the state to row k; the force there, in navigation axes (m/s2)."""
     nominal, batch, memory = carry.nominal, carry.batch, carry.memory
-    good = memory.seen[GOOD] == 1.0
+    good = memory.good == 1.0
     if good:
         watch_second(model, nominal.c, memory)
     w, f = true_rate(nominal.c, memory.mean[0]), true_force(nominal.c, memory.mean[1])
@@ -277,18 +260,18 @@ def predict(model: Parameters, carry: Carry, work: Work, dt: float, k: int) -> T
     a2 = f_n[0] * f_n[0] + f_n[1] * f_n[1] + (f_n[2] + model.gravity) ** 2
     steps = 1 if dt <= MAX_STEP else min(MAX_STEPS, ceil(dt / MAX_STEP))
     part = dt / steps
-    psd = model.gyro_psd + model.rate_noise * rate2 + model.jerk_share * part * memory.seen[JERK]
+    psd = model.gyro_psd + model.rate_noise * rate2 + model.jerk_share * part * memory.jerk
     if not good or dt > MAX_STEP:
         psd += BLIND_PSD
     force_psd = model.accel_psd + model.accel_noise2 * a2
-    force_psd += min(model.shake_share * part * memory.seen[SHAKE], model.shake_most)
+    force_psd += min(model.shake_share * part * memory.shake, model.shake_most)
     keep_steady(memory, w, f_n, dt)
     for _ in range(steps):
         if part > 0.0:
             f_n = advance(model, nominal, batch, work.C, w, f, memory.steady, part)
             note_force(memory.turned, f_n[0], f_n[1], part)
-            batch.total[GYRO_VARIANCE] += psd * part
-            batch.total[FORCE_VARIANCE] += force_psd * part
+            batch.gyro_variance += psd * part
+            batch.force_variance += force_psd * part
         if steps > 1:
             move(model, nominal.c, carry.P, batch, work)
             note_motion(work, batch)
@@ -306,7 +289,7 @@ def predict(model: Parameters, carry: Carry, work: Work, dt: float, k: int) -> T
 @inner
 def keep_steady(memory: Memory, w: Triple, f_n: Triple, dt: float) -> None:
     """Mean rate and force of the last moment, by which errors grow; of this row alone where nothing shakes."""
-    steady, jerky = memory.steady, memory.seen[JERK] * memory.seen[JERK]
+    steady, jerky = memory.steady, memory.jerk * memory.jerk
     span = STEADY * jerky / (jerky + SHAKEN2 * SHAKEN2)  # turning in a gust is none
     share = dt / (dt + span) if dt > 0.0 else 1.0
     for i in range(3):
@@ -319,29 +302,29 @@ def keep_steady(memory: Memory, w: Triple, f_n: Triple, dt: float) -> None:
 @inner
 def watch_second(model: Parameters, c: np.ndarray, memory: Memory) -> None:
     """Standstill detector: scatter and mean rate of each second."""
-    t, second, seen = memory.clock[T_GOOD], memory.second, memory.seen
-    if not t - memory.clock[T_SECOND] < 1.0:
-        n = seen[COUNT]
+    t, second = memory.good_t, memory.second
+    if not t - memory.second_t < 1.0:
+        n = memory.count
         still = n >= 10.0
         for i in range(3):
             still = still and second[1, i] < n * model.still_rate**2 and second[1, 3 + i] < n * model.still_force**2
             still = still and abs(second[0, i] - c[GYRO_BIAS + i]) < MEAN_RATE
-        seen[IS_STILL] = 1.0 if still else 0.0
-        memory.clock[T_SECOND], seen[COUNT] = t, 0.0
+        memory.still = 1.0 if still else 0.0
+        memory.second_t, memory.count = t, 0.0
         for i in range(6):
             second[0, i] = second[1, i] = 0.0
-    seen[COUNT] += 1.0
+    memory.count += 1.0
     for i in range(6):
         value = memory.last[i // 3, i % 3]
         off = value - second[0, i]
-        second[0, i] += off / seen[COUNT]
+        second[0, i] += off / memory.count
         second[1, i] += off * (value - second[0, i])
     for i in range(3):  # moved off in mid-second
         if abs(memory.last[0, i] - c[GYRO_BIAS + i]) > 5.0 * model.still_rate:
-            seen[IS_STILL] = 0.0
-    moving = t - memory.clock[T_GNSS] < 1.0 and seen[SPEED] > STILL_SPEED + 3.0 * model.gnss_velocity
+            memory.still = 0.0
+    moving = t - memory.fix_t < 1.0 and memory.speed > STILL_SPEED + 3.0 * model.gnss_velocity
     if moving:  # a smooth acceleration scatters as little as standing
-        seen[IS_STILL] = 0.0
+        memory.still = 0.0
 
 
 @inner
@@ -353,26 +336,26 @@ def correct(model: Parameters, carry: Carry, work: Work, row: Sample, f_n: Tripl
     note_motion(work, batch)
     for i in range(N):
         dx[i] = 0.0
-    if is_lost(memory.turned, t, math.isnan(memory.clock[T_MAG]), model.gnss_velocity, model.field_off):
+    if is_lost(memory.turned, t, math.isnan(memory.mag_t), model.gnss_velocity, model.field_off):
         set_heading(model, carry, dx, t)
         anew = True
     if row.gnss_new:
         take_fix(model, carry, work, row, f_n, answer)
-    if memory.seen[IS_STILL] < memory.seen[WAS_STILL]:
+    if memory.still < memory.was_still:
         for i in range(HARD_IRON, HARD_IRON + 3):
             P[i, i] += model.iron_step
-    memory.seen[WAS_STILL] = memory.seen[IS_STILL]
+    memory.was_still = memory.still
     take_field(model, carry, work, t, answer)
     if model.use_heading and row.heading_new:
         take_baseline(model, carry, work, row, answer)
-    if memory.seen[IS_STILL] == 1.0:
+    if memory.still == 1.0:
         take_standstill(model, carry, work, t, answer)
     symmetric(P)
     retract(nominal, dx)
     note_correction(memory.turned, dx[PHI + 2])
     correct_past(memory.past, t, dx)
     clear(batch)
-    memory.clock[T_BATCH] = t
+    memory.batch_t = t
     if healthy(nominal, P):
         copy(nominal, carry.safe)
         return ANEW if anew else SOUND
@@ -464,9 +447,9 @@ def report(model: Parameters, carry: Carry, work: Work, answer: Estimate) -> Non
         answer.vel_n[i] = v_n[i] + ahead * a_n[i]
         for j in range(3):
             answer.vel_cov[i, j], answer.pos_cov[i, j] = P[VEL + i, VEL + j], P[POS + i, POS + j]
-        answer.vel_cov[i, i] += SHAKEN_S * SHAKEN_S * memory.seen[SHAKE]
-    answer.adaptation[0] = memory.seen[IS_STILL]
-    answer.adaptation[1] = memory.seen[SURPRISE]
+        answer.vel_cov[i, i] += SHAKEN_S * SHAKEN_S * memory.shake
+    answer.adaptation[0] = memory.still
+    answer.adaptation[1] = memory.surprise
     answer.adaptation[2] = memory.turned.refused
 
 

@@ -10,7 +10,7 @@ from estimators.estimator import Compiled
 from estimators.native import joined, passed, supplied
 from estimators.navigator import loop
 from estimators.navigator.aids import Z_BASELINE, Z_FIELD, Z_PLACE, Z_VELOCITY
-from estimators.navigator.layout import T_LAST, WORK, Carry, Parameters, Work, tape
+from estimators.navigator.layout import WORK, Carry, Parameters, Work, tape
 from estimators.navigator.settings import SETTINGS
 from estimators.records import Place, Sheet, pack_settings
 from estimators.turned import NOTES
@@ -73,7 +73,7 @@ class Navigator(Compiled):
 
     def last_t(self) -> float:
         """Time (s) of the last row after the alignment."""
-        return float(self._carry.memory.clock[T_LAST])
+        return float(self._carry.memory.last_t)
 
     def kept(self) -> dict[str, np.ndarray]:
         """The arrays and records of `layout.Carry`."""

@@ -14,30 +14,20 @@ from estimators.navigator.layout import (
     ACCEL_BIAS,
     ACCEL_MATRIX,
     BASELINE,
-    CLOCKS,
-    COUNT,
     FAST_TIME,
     FIELD,
-    FIELD_NOISE,
-    GOOD,
     GYRO_BIAS,
     GYRO_FAST,
     GYRO_MATRIX,
     GYRO_SLOW,
     HARD_IRON,
-    IS_STILL,
-    JERK,
     LATE,
     MAG_MATRIX,
     PHI,
     POS,
-    SEEN,
-    SHAKE,
     SLOW_TIME,
-    SPEED_NOISE,
     VEL,
     WANDER,
-    WAS_STILL,
     Carry,
     Memory,
     N,
@@ -187,17 +177,15 @@ def _learn_bias(site: Place, alignment: Alignment, P: np.ndarray, c: np.ndarray)
 @inner
 def _forget(memory: Memory) -> None:
     """Begin with nothing seen."""
-    for i in range(CLOCKS):
-        memory.clock[i] = math.nan
+    memory.last_t = memory.good_t = memory.batch_t = memory.second_t = math.nan
+    memory.aid_t = memory.fix_t = memory.mag_t = memory.wrong_baseline_t = math.nan
     for i in range(6):
         memory.last[i // 3, i % 3] = memory.steady[i // 3, i % 3] = math.nan
         memory.mean[i // 3, i % 3] = memory.step[i // 3, i % 3] = 0.0
         memory.second[0, i] = memory.second[1, i] = 0.0
-    for i in range(SEEN):
-        memory.seen[i] = math.nan
-    for kind in (IS_STILL, WAS_STILL, COUNT, JERK, SHAKE):
-        memory.seen[kind] = 0.0
-    memory.seen[GOOD] = memory.seen[FIELD_NOISE] = memory.seen[SPEED_NOISE] = 1.0
+    memory.speed = memory.surprise = math.nan
+    memory.still = memory.was_still = memory.count = memory.jerk = memory.shake = 0.0
+    memory.good = memory.field_noise = memory.speed_noise = 1.0
     begin_turned(memory.turned)
     memory.past.newest = math.nan
     for i in range(SLOTS):

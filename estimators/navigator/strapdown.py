@@ -21,7 +21,6 @@ from estimators.navigator.layout import (
     GYRO_SLOW,
     PHI,
     POS,
-    SECONDS,
     VEL,
     Batch,
     Nominal,
@@ -98,7 +97,7 @@ def advance(
         C[2, 0] * x + C[2, 1] * y + C[2, 2] * z,
     )
     transition(batch.F, C, nominal.c, (steady[0, 0], steady[0, 1], steady[0, 2]), steady_b, (x, y, z), dt)
-    batch.total[SECONDS] += dt
+    batch.seconds += dt
     return f_n
 
 

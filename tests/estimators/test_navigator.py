@@ -214,7 +214,7 @@ def test_smoother_of_a_linear_model_is_that_of_rauch_tung_and_striebel():
     prior, posterior, moves, corrections = [], [], [], []
     for _ in range(batches):
         batch.F[:] = np.eye(MOVING, COUPLED) + 0.1 * rng.standard_normal((MOVING, COUPLED))
-        batch.total[:3] = 0.01, 0.02, 3.0
+        batch.gyro_variance, batch.force_variance, batch.seconds = 0.01, 0.02, 3.0
         for row in range(3):
             work.terms[row] = 4
             work.at[row, :4] = rng.choice(N, 4, replace=False)
