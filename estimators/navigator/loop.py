@@ -238,9 +238,8 @@ def read_inertial(t: float, gyro: np.ndarray, accel: np.ndarray, memory: Memory)
         mean[0, i] = 0.5 * (gyro[i] + last[0, i]) if fresh else gyro[i]
         mean[1, i] = 0.5 * (accel[i] + last[1, i]) if fresh else accel[i]
         last[0, i], last[1, i] = gyro[i], accel[i]
-    if (
-        fresh
-    ):  # what turns too fast for the sampling (an impact, vibration): a sixth of the second differences' variance
+    if fresh:
+        # What turns too fast for the sampling (an impact, vibration): a sixth of the second differences' variance.
         share = min(dt / JERK_TIME, 1.0)
         memory.jerk += share * (square / 18.0 - memory.jerk)
         memory.shake += share * (shaken / 18.0 - memory.shake)
